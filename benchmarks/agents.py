@@ -34,6 +34,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.cli import run_script
 from hrl_escape.errors import MissingExtraError
 
@@ -65,15 +66,14 @@ def make_ours(name: str) -> Callable[[int], None]:
     env = RandomSteps()
     fast = {"hidden": HIDDEN, "batch_size": BATCH, "updates_per_step": 0.0, "warmup": 0}
     agent: Any = make_agent(name, env.observation_space, env.action_space, 0, **fast)
+    served = serve_one(agent)
     for transition in draw_transitions(STORED):
-        if name == "ddpg":
-            agent.act(transition.observation, transition.action_mask)
-        agent.observe(transition)
+        served.observe(transition)
     agent._steps = 10**6  # past every warm-up
 
     def update(count: int) -> None:
         for _ in range(count):
-            agent.update(agent.replay.sample(BATCH, agent._replay_rng))
+            agent.update(agent.replay.sample(BATCH))
 
     return update
 
@@ -84,12 +84,12 @@ def make_our_ppo() -> Callable[[int], None]:
     agent: Any = make_agent(
         "ppo", env.observation_space, env.action_space, 0, hidden=HIDDEN, rollout=ROLLOUT, epochs=EPOCHS
     )
-    rollout = draw_transitions(ROLLOUT)
+    rollout, served = draw_transitions(ROLLOUT), serve_one(agent)
 
     def update(count: int) -> None:
         for _ in range(count * BATCH // (ROLLOUT * EPOCHS)):
             for transition in rollout:
-                agent.observe(transition)
+                served.observe(transition)
 
     return update
 

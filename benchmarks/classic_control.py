@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import Agent, FixedPolicy, count_actions, make_transition
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
 from hrl_escape.comparison.statistics import compute_iqm
 from studies.statistics import compute_sign_flip_p
@@ -105,12 +106,12 @@ def train_agent(name: str, is_tuned: bool = False) -> Trainer:
         env, eval_env = gymnasium.make(task_id), gymnasium.make(task_id)
         agent: Agent = make_agent(name, env.observation_space, env.action_space, seed,
                                   **task.settings if is_tuned else {})
-        observation, _ = env.reset(seed=seed)
+        served, (observation, _) = serve_one(agent), env.reset(seed=seed)
         mask = np.ones(count_actions(env.action_space, name), np.bool_)
         for primitives in range(1, budget + 1):
-            action = agent.act(observation, mask)
+            action = served.act(observation, mask)
             transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
-            agent.observe(transition)
+            served.observe(transition)
             observation = transition.next_observation
             if transition.terminated or transition.truncated:
                 observation, _ = env.reset()

@@ -27,8 +27,10 @@ import torch
 
 from benchmarks.classic_control import Peer
 from hrl_escape.agents import evaluate, make_agent
-from hrl_escape.agents.agent import count_actions, make_transition, read_action_mask
-from hrl_escape.agents.streams import StreamAgent, gather_decisions
+from hrl_escape.agents.agent import Agent, count_actions, make_transition, read_action_mask
+from hrl_escape.agents.decisions import Moments
+from hrl_escape.agents.seam import serve_many, serve_one
+from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.stream_run import make_streams
 from hrl_escape.comparison.inference import PairedTest, compare_pairs, correct_by_holm
@@ -146,32 +148,34 @@ class Marks:
 
 def train_in_one(agent: Any, env: gymnasium.Env, seed: int, marks: Marks) -> None:
     """Train in one environment, the ordinary way."""
+    served = serve_one(agent)
     primitives = episode = 0
     while not marks.is_over:
         observation, info = env.reset(seed=compute_episode_seed(seed, "training", episode))
         mask, is_over, episode = read_action_mask(info, count_actions(env.action_space, "ppo")), False, episode + 1
         while not (is_over or marks.is_over):
-            action = agent.act(observation, mask)
+            action = served.act(observation, mask)
             transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
-            agent.observe(transition)
+            served.observe(transition)
             primitives += transition.duration
             marks.reach(primitives, agent)
             observation, mask = transition.next_observation, transition.next_action_mask
             is_over = transition.terminated or transition.truncated
 
 
-def train_in_many(agent: StreamAgent, env: Any, seed: int, marks: Marks) -> None:
+def train_in_many(agent: Agent, env: Any, seed: int, marks: Marks) -> None:
     """Train in a vector environment."""
     streams = make_streams(env, agent.gamma)
     streams.reset(compute_episode_seed(seed, "streams", 1))
-    agent.begin_streams(streams.count, streams.device)
-    primitives = 0
+    served, masks, primitives = serve_many(agent), streams.action_mask.clone(), 0
+    served.begin_episodes(streams.count, streams.device)
     while not marks.is_over:
         asking = streams.is_waiting.nonzero().squeeze(1)
         action = torch.zeros(streams.count, dtype=torch.int64)
-        action[asking] = agent.act_streams(streams.observation[asking], streams.action_mask[asking], asking)
-        decisions = gather_decisions(streams.step(action), streams.gamma, agent.gamma)
-        agent.observe_streams(decisions)
+        masks[asking] = streams.action_mask[asking]
+        action[asking] = served.act(Moments(asking, streams.observation[asking], masks[asking]))
+        decisions = gather_decisions(streams.step(action), masks, streams.gamma, agent.gamma)
+        served.observe(decisions)
         primitives += int(decisions.duration.sum())
         marks.reach(primitives, agent)
 

@@ -7,6 +7,8 @@ from .agent import (
     compute_backup,
     make_transition,
 )
+from .batch_agent import BatchAgent
+from .decisions import Decisions, Moments, Policy
 from .hierarchy.machine import choose, do, machine
 from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
@@ -26,15 +28,19 @@ __all__ = [
     "AgentSpec",
     "AgentSettings",
     "BaseTask",
+    "BatchAgent",
     "Call",
     "Callback",
+    "Decisions",
     "Evaluation",
     "Hierarchy",
     "Kept",
     "LearningSettings",
     "MLflow",
+    "Moments",
     "OptionPolicy",
     "OptunaPruning",
+    "Policy",
     "SMDPTransition",
     "StackAgent",
     "Stateful",

@@ -11,7 +11,7 @@ import inspect
 import math
 import sys
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, is_dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
+from hrl_escape.agents.decisions import AgentPolicy, Policy, SMDPTransition
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
@@ -67,40 +68,6 @@ CATALOGUE = "hrl_escape.agents.algorithms"
 SUCCESS_KEYS = ("is_success", "success")
 """Keys of `info` that may hold an episode's success; the first that has a value counts."""
 """Package of the algorithms, one file each, named like the file."""
-
-
-class SMDPTransition(NamedTuple):
-    """One decision and its outcome.
-
-    Attributes:
-        observation: at the decision, as the environment gave it.
-        action: index in the action space.
-        action_mask: bool (actions,), the actions legal there.
-        reward: R = sum over i < k of gamma^i r_i, at the agent's gamma.
-        summed_reward: the undiscounted sum of r_i.
-        duration: k >= 1, the number of primitives that ran.
-        discount: gamma^k.
-        next_observation: the state reached, never the first of a new episode.
-        next_action_mask: bool (actions,), the actions legal there.
-        terminated: the task ended; later rewards are zero.
-        truncated: the episode was cut off; the state reached still has a value.
-        trace: the primitives inside, where the environment gives them (see `make_transition`), else empty.
-        cut: truncated inside an option, so that the state reached is not where the option leads.
-    """
-
-    observation: Any
-    action: int
-    action_mask: NDArray[np.bool_]
-    reward: float
-    summed_reward: float
-    duration: int
-    discount: float
-    next_observation: Any
-    next_action_mask: NDArray[np.bool_]
-    terminated: bool
-    truncated: bool
-    trace: Sequence[Any] = ()
-    cut: bool = False
 
 
 class RunningCall(NamedTuple):
@@ -210,6 +177,10 @@ class Agent(Stateful, ABC):
         For agents that count primitives within an episode: a decision may last several.
         """
 
+    def make_policy(self) -> Policy:
+        """Make a policy that chooses as evaluation does: `act_greedy`, with the memory of an episode of its own."""
+        return AgentPolicy(self)
+
     @abstractmethod
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from one decision; returns numbers to log, such as the loss, or nothing.
@@ -313,22 +284,15 @@ class _WholeRun:
     """The greedy policy of an agent for as long as it is asked."""
 
     def __init__(self, agent: Agent) -> None:
-        self._agent = agent
-        self._rng: np.random.Generator | None = None
-        self._memory: tuple[Any, ...] | None = None
+        self._policy, self._has_begun = agent.make_policy(), False
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        agent = self._agent
-        if agent.is_markov:
-            return agent.act_greedy(observation, action_mask, rng)
-        # Agents know an episode by its generator, so a run has one of its own.
-        self._rng = self._rng or np.random.default_rng(int(rng.integers(2**63)))
-        # An agent remembers one episode. Each run keeps its own, so that several may take turns.
-        before, agent._evaluation = agent._evaluation, self._memory
-        try:
-            return agent.act_greedy(observation, action_mask, self._rng)
-        finally:
-            self._memory, agent._evaluation = agent._evaluation, before
+        if not self._has_begun:
+            # The caller's generator may serve several runs; what one draws must not depend on the others.
+            self._policy.begin_episode(rng if self._policy.is_markov else np.random.default_rng(
+                int(rng.integers(2**63))))
+            self._has_begun = True
+        return self._policy.choose(observation, action_mask)
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
         return 0.0
@@ -503,18 +467,25 @@ def set_option_discount(env: Any, gamma: float) -> None:
         inner.call(name, gamma)
 
 
-def compute_backup(transition: SMDPTransition, settings: LearningSettings) -> tuple[float, float]:
+def compute_backup(decided: Any, settings: Any) -> tuple[Any, Any]:
     """R and b of the backup R + b V(s'), which hold all that a learner needs to know of durations and ends.
 
     With `discounting="primitive"`: R = sum gamma^i r_i and b = gamma^k (1 - terminated). Truncation keeps b
     unless `bootstrap_on_truncation` is off. Backups compose: (R1, b1) then (R2, b2) is (R1 + b1 R2, b1 b2).
+
+    Args:
+        decided: an `SMDPTransition`, or `Decisions` of n rows.
+        settings: `LearningSettings`, or others with these fields.
+
+    Returns:
+        Numbers, or arrays (n,).
     """
     if settings.discounting == "primitive":
-        reward, factor = transition.reward, transition.discount
+        reward, factor = decided.reward, decided.discount
     else:
-        reward, factor = transition.summed_reward, settings.gamma
-    ended = transition.terminated or (transition.truncated and not settings.bootstrap_on_truncation)
-    return reward, 0.0 if ended else factor
+        reward, factor = decided.summed_reward, settings.gamma
+    ended = decided.terminated | (decided.truncated & (not settings.bootstrap_on_truncation))
+    return reward, factor * (ended == 0)
 
 
 def count_actions(action_space: gymnasium.Space, agent: str) -> int:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -21,11 +21,17 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from hrl_escape.agents.agent import MarkovRun, OptionPolicy, RunningCall, SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.agent import (
+    MarkovRun,
+    OptionPolicy,
+    RunningCall,
+    SMDPTransition,
+    compute_backup,
+    count_actions,
+)
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, sample_legal
-from hrl_escape.agents.components.tables import QTable, TabularAgent, TabularAgentSettings
+from hrl_escape.agents.components.tables import QTable, TabularAgent
 from hrl_escape.agents.state import Kept, Stateful, StateTree, pack_keys, unpack_keys
-from hrl_escape.settings import Range
 
 NOTHING = -1
 """In place of a primitive: the option ends, or cannot be."""
@@ -244,17 +250,6 @@ class Discovery(Stateful, ABC):
         """New options by slot; empty most of the time."""
 
 
-@dataclass(frozen=True)
-class DiscoverySettings(TabularAgentSettings):
-    """Use of found options."""
-
-    use: Literal["explore", "choose"] = "explore"
-    """`explore`: options are run in exploration alone, and the policy is over primitives. `choose`: they are choices
-    beside the primitives, valued by intra-option Q-learning."""
-    option_share: Annotated[float, Range(0, 1)] = 0.2
-    """Share of exploratory choices that begin an option where one may begin; the rest are primitives."""
-
-
 def save_skills(skills: Sequence[TableSkill | None]) -> list[StateTree | None]:
     """Options as state trees, for checkpoints."""
     return [None if skill is None else dict(vars(skill)) for skill in skills]
@@ -283,7 +278,7 @@ class DiscoveringAgent(TabularAgent):
     STATE = ("graph", Kept("skills", pack=save_skills, unpack=load_skills), "discovery", "_running", "_lasted")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: DiscoverySettings | None = None) -> None:
+                 settings: Any = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self.actions = count_actions(action_space, self.name)
         self.graph = StateGraph(self.actions)
@@ -430,22 +425,12 @@ class DiscoveringAgent(TabularAgent):
         return self.table.update(key, transition.action, reward + bootstrap * best)
 
 
-@dataclass(frozen=True)
-class GraphDiscoverySettings(DiscoverySettings):
-    """Discovery in the graph of all states met, at equal distances."""
-
-    discover_every: Annotated[int, Range(1)] = 1_000
-    """Decisions after which all options are found anew."""
-    most_states: Annotated[int, Range(2)] = 1_000
-    """States beyond which none are found anew: eigenvectors take time in their cube."""
-
-
 class GraphDiscovery(Discovery):
     """Base of discoveries that look at the graph now and then."""
 
     STATE = ("_decisions",)
 
-    def __init__(self, settings: GraphDiscoverySettings, slots: int) -> None:
+    def __init__(self, settings: Any, slots: int) -> None:
         self._every, self._most_states, self.slots = settings.discover_every, settings.most_states, slots
         self._decisions = 0
 

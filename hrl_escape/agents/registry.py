@@ -47,10 +47,10 @@ def list_agents() -> list[str]:
 
 def list_stream_agents() -> list[str]:
     """Names of the shipped agents that learn from many environments at once, in alphabetical order."""
-    from hrl_escape.agents.streams import StreamAgent
+    from hrl_escape.agents.seam import MANY
 
     return [name for name in sorted([*_list_made(), *list_hierarchy_agents()])
-            if issubclass(get_agent_class(name), StreamAgent)]
+            if issubclass(get_agent_class(name), MANY)]
 
 
 def split_name(name: str) -> tuple[str, bool]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, LearningSettings, SMDPTransition
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful, StateTree, list_kept
 from hrl_escape.errors import DiscountMismatchError
 
@@ -296,8 +297,10 @@ class OpenChoices(Stateful):
         self._place.zero_()
 
 
-def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) -> StreamTransitions:
+def gather_decisions(ended: EndedDecisions, masks: Tensor, gamma: float, agent_gamma: float) -> Decisions:
     """Rows of the decisions that ended, of streams discounted by `gamma`, for an agent that discounts by its own.
+
+    `masks`, bool (streams, actions), are the legal actions at each stream's present decision.
 
     Raises:
         DiscountMismatchError: a decision of several primitives, discounted by another gamma than the agent's.
@@ -306,10 +309,10 @@ def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) ->
     duration = ended.duration.long()
     if gamma != agent_gamma and len(stream) and (longest := int(duration[stream].max())) > 1:
         raise DiscountMismatchError(agent_gamma, gamma**longest, longest)
-    fields = (ended.observation, ended.action, ended.discounted_reward, ended.reward, duration, ended.next_observation,
-              ended.next_action_mask, ended.terminated, ended.truncated)
-    return StreamTransitions(stream, *(fields if len(stream) == len(ended.where) else
-                                       (field[stream] for field in fields)))
+    discount = (agent_gamma ** duration.double()).float()
+    fields = (ended.observation, masks, ended.action, ended.discounted_reward, ended.reward, duration, discount,
+              ended.next_observation, ended.next_action_mask, ended.terminated, ended.truncated)
+    return Decisions(stream, *(field[stream] for field in fields))
 
 
 def compute_backups(decisions: StreamTransitions, settings: LearningSettings) -> tuple[Tensor, Tensor]:

@@ -18,6 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.checks.claims import Claims, dump_state
 
@@ -133,12 +134,12 @@ class _AgentCheck(Claims):
 
     def _train(self, agent: Any, play: _Play, decisions: int) -> list[SMDPTransition]:
         """Transitions of the agent's own choosing, each learned from."""
-        made = []
+        made, served = [], serve_one(agent)
         for _ in range(decisions):
-            action = agent.act(play.observation, play.mask.copy())
+            action = served.act(play.observation, play.mask.copy())
             self._require_legal(action, play.mask, "act")
             made.append(play.step(int(action)))
-            metrics = agent.observe(made[-1])
+            metrics = served.observe(made[-1])
             finite = isinstance(metrics, Mapping) and all(math.isfinite(value) for value in metrics.values())
             self.require(finite, "observe returns finite numbers by name, or an empty mapping", metrics)
         return made

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hrl_escape.agents.components.offline import Decisions, Primitives
+from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
 from hrl_escape.data.materialise import DataLevel, DataSet
 from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
@@ -27,7 +27,7 @@ VALIDATION = 10
 """One trajectory in this many is for validation."""
 
 
-def to_torch(data: Decisions | Primitives) -> Any:
+def to_torch(data: RecordedDecisions | Primitives) -> Any:
     """The same with tensors in place of arrays; memory is shared where it can be."""
     import torch
 
@@ -164,7 +164,7 @@ def _make_rows(part: Any) -> dict[str, Any]:
     rows = {"observations": observations.reshape(count + 1, -1), "actions": np.append(part.action, 0),
             "terminals": np.arange(count + 1) == count, "rewards": np.append(part.reward, 0.0),
             "masks": np.append(~part.terminated, True)}
-    if isinstance(part, Decisions):
+    if isinstance(part, RecordedDecisions):
         rows |= {"durations": np.append(part.duration, 0), "discounts": np.append(part.discount, 1.0),
                  "action_masks": np.concatenate([part.mask, part.next_mask[-1:]])}
     return {name: np.asarray(values, np.float32) for name, values in rows.items()}

@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.offline import Decisions, Primitives
+from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
 from hrl_escape.data.catalogue import find_recording
 from hrl_escape.data.published import warn_of_other
 from hrl_escape.data.recording import ENDS, Recording, load_recording
@@ -118,13 +118,13 @@ class DataSet:
 
     # --- reading -------------------------------------------------------------------------
 
-    def read(self) -> Decisions | Primitives:
+    def read(self) -> RecordedDecisions | Primitives:
         """All of the level, in memory."""
         return self.read_decisions(self.gamma) if self.level == "decisions" else self.read_primitives()
 
-    def read_decisions(self, gamma: float) -> Decisions:
+    def read_decisions(self, gamma: float) -> RecordedDecisions:
         """All decisions, in memory, with rewards discounted by gamma."""
-        return _join(Decisions, list(self.blocks("decisions", gamma)))
+        return _join(RecordedDecisions, list(self.blocks("decisions", gamma)))
 
     def read_primitives(self) -> Primitives:
         """All primitives, in memory."""
@@ -182,7 +182,7 @@ class DataSet:
                                 "recorded it")
 
     def _make_decisions(self, episodes: list[RecordingEpisode], seen: list[NDArray[Any]], rewards: list[float],
-                        gamma: float) -> Decisions:
+                        gamma: float) -> RecordedDecisions:
         recording, rows, after = self.recording, _cover(episodes), _skip_last(each.decisions for each in episodes)
         duration = recording.duration[rows].astype(np.int64)
         discounted, summed = _discount(np.array(rewards), duration, gamma)
@@ -193,9 +193,10 @@ class DataSet:
         bits = np.arange(len(recording.about["actions"]), dtype=np.uint64)
         mask = (legal[:, None] >> bits & np.uint64(1)).astype(np.bool_)
         terminated, last, trajectory = self._find_ends(episodes, rows)
-        return Decisions(observation[after], recording.option[rows].astype(np.int64), mask[after], discounted, summed,
-                         duration, powers[duration], observation[after + 1], mask[after + 1], terminated, last,
-                         trajectory, recording.ended[rows].astype(np.int64))
+        return RecordedDecisions(
+            observation[after], recording.option[rows].astype(np.int64), mask[after], discounted, summed, duration,
+            powers[duration], observation[after + 1], mask[after + 1], terminated, last, trajectory,
+            recording.ended[rows].astype(np.int64))
 
     def _make_primitives(self, episodes: list[RecordingEpisode], seen: list[NDArray[Any]], rewards: list[float],
                          gamma: float) -> Primitives:

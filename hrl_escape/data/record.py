@@ -209,11 +209,13 @@ def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[g
         return env, _Expert(env)
     if spec.kind != "medium":
         return env, _choose_any
-    agent = train_medium(rooms[:MEDIUM_ROOMS], folder)
+    policy = train_medium(rooms[:MEDIUM_ROOMS], folder).make_policy()
 
     def choose(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
         """The agent's greedy choice, but for one in ten."""
-        return sample_legal(legal, rng) if rng.random() < RANDOM_SHARE else agent.act_greedy(observation, legal, rng)
+        if begins:
+            policy.begin_episode(rng)
+        return sample_legal(legal, rng) if rng.random() < RANDOM_SHARE else policy.choose(observation, legal)
 
     return env, choose
 

@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, sample_legal
+from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_legal
+from hrl_escape.agents.decisions import Decisions, Moments, make_decision
 from studies.price.over_primitives import PrimitivesDQN, PrimitivesSettings, read_room
 
 __all__ = ["ExploringDQN", "ExploringSettings", "make_explorer"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ExploringSettings(PrimitivesSettings):
     """Settings of `ExploringDQN`, beside those of `dqn`."""
 
@@ -34,43 +35,46 @@ class ExploringDQN(PrimitivesDQN):
 
     Settings: ClassVar[type] = ExploringSettings
     settings: ExploringSettings  # pyright: ignore[reportIncompatibleVariableOverride]
-    STATE = ("_repeated",)
+    STATE = ("_repeated", "_choice_rng")
 
     def __init__(self, observation_space: gymnasium.Space, seed: int, settings: ExploringSettings) -> None:
         super().__init__(observation_space, seed, settings)
         self._repeated = (0, 0)  # a primitive, and for how many decisions more
+        self._choice_rng = make_rng(seed, "actions")
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Begin a random choice, go on with it, or take the best primitive of the online network."""
+    def act(self, batch: Moments) -> Any:
+        """Begin a random choice, go on with it, or take the best primitive of the online network, int64 (1,)."""
+        return np.array([self._choose(batch.observation[0], batch.action_mask[0])])
+
+    def _choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         settings, (choice, left) = self.settings, self._repeated
         legal = self.cut(action_mask)
         if left and legal[choice]:
             self._repeated = choice, left - 1
             return choice
         epsilon, length = compute_epsilon(settings, self._schedule.steps), float(np.mean(settings.lengths))
-        if self._action_rng.random() >= epsilon / (epsilon + length * (1 - epsilon)):
+        if self._choice_rng.random() >= epsilon / (epsilon + length * (1 - epsilon)):
             return choose_best(self.values.online.compute(self._encoder.encode(observation)), legal)
         if settings.explores_by == "options" and len(options := self.list_options(action_mask)):
-            return int(self._action_rng.choice(options))
-        choice = sample_legal(legal, self._action_rng)
-        self._repeated = choice, int(self._action_rng.choice(settings.lengths)) - 1
+            return int(self._choice_rng.choice(options))
+        choice = sample_legal(legal, self._choice_rng)
+        self._repeated = choice, int(self._choice_rng.choice(settings.lengths)) - 1
         return choice
 
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+    def observe(self, batch: Decisions) -> Mapping[str, float]:
         """Learn from each primitive of the decision as if it had been chosen."""
-        if transition.terminated or transition.truncated:
+        if batch.terminated[0] or batch.truncated[0]:
             self._repeated = (0, 0)
         told: Mapping[str, float] = {}
-        mask = transition.action_mask
-        for number, step in enumerate(transition.trace, 1):
-            is_last = number == len(transition.trace)
-            after = transition.next_action_mask if is_last else step.next_action_mask.astype(np.bool_)
+        mask, (trace,) = batch.action_mask[0], batch.trace
+        for number, step in enumerate(trace, 1):
+            is_last = number == len(trace)
+            after = batch.next_action_mask[0] if is_last else step.next_action_mask.astype(np.bool_)
             reward = float(step.reward)
-            told = super().observe(transition._replace(
-                observation=step.observation, action=int(step.action), action_mask=self.cut(mask),
-                reward=reward, summed_reward=reward, duration=1, discount=self.gamma,
-                next_observation=step.next_observation, next_action_mask=self.cut(after),
-                terminated=is_last and transition.terminated, truncated=is_last and transition.truncated, trace=()))
+            told = super().observe(make_decision(SMDPTransition(
+                step.observation, int(step.action), self.cut(mask), reward, reward, 1, self.gamma,
+                step.next_observation, self.cut(after), bool(is_last and batch.terminated[0]),
+                bool(is_last and batch.truncated[0]))))
             mask = after
         return told
 

@@ -16,9 +16,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import make_rng
-from hrl_escape.agents.components.replay import Experience, NStep
+from hrl_escape.agents.components.replay import Experience, make_batch
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.state import Kept
 from hrl_escape.env.instance import Rectangle
 from hrl_escape.options.execution import TraceStep
@@ -32,7 +32,7 @@ Event: TypeAlias = tuple[Any, int]
 """State of the puzzle, and bits of the targets touched anew in it, or `EXIT`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LookaheadSettings(PrimitivesSettings):
     """Settings of `LookaheadDQN`, beside those of `dqn`."""
 
@@ -55,26 +55,32 @@ class LookaheadDQN(PrimitivesDQN):
         self._known: set[Event] = set()
         self._ahead = 0  # primitives imagined beyond those run
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+    def act(self, batch: Moments) -> Any:
         """Explore among primitives, as `dqn` does."""
-        return super().act(observation, self.cut(action_mask))
+        return super().act(batch._replace(action_mask=self.cut(batch.action_mask)))
 
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+    def observe(self, batch: Decisions) -> Mapping[str, float]:
         """Note what the primitive did, learn from it, and imagine on from where it led."""
-        (step,) = transition.trace
+        ((step,),) = batch.trace
         self._known |= set(list_events(step, self._exit))
-        told = super().observe(transition._replace(
-            action_mask=self.cut(transition.action_mask), next_action_mask=self.cut(transition.next_action_mask),
-            trace=()))
+        told = super().observe(batch._replace(
+            action_mask=self.cut(batch.action_mask), next_action_mask=self.cut(batch.next_action_mask), trace=()))
         self._ahead -= 1
-        if self._ahead < 0 and not (transition.terminated or transition.truncated):
+        if self._ahead < 0 and not (batch.terminated[0] or batch.truncated[0]):
             way = list(self.imagine(step.next_state))
-            joining = NStep(len(way) if self.settings.looks_along != "primitives" else self.settings.n_step)
-            for number, experience in enumerate(way, 1):
-                for joined in joining.push(experience, number == len(way)):
-                    self.replay.add(joined)
+            self._store(way, len(way) if self.settings.looks_along != "primitives" else self.settings.n_step)
             self._ahead += len(way)
         return told
+
+    def _store(self, way: Sequence[Experience], decisions: int) -> None:
+        """Store the backups of some decisions from each state of a way, or of fewer up to its end."""
+        for first, start in enumerate(way):
+            joined = start
+            for then in way[first + 1 : first + decisions]:
+                joined = joined._replace(reward=joined.reward + joined.bootstrap * then.reward,
+                                         bootstrap=joined.bootstrap * then.bootstrap,
+                                         next_observation=then.next_observation, next_mask=then.next_mask)
+            self.replay.add(make_batch(joined))
 
     def imagine(self, state: Any) -> Iterator[Experience]:
         """Primitives of one way from a state of the room, up to the first whose outcome is not known."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
 from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.decisions import Moments, Policy
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.settings import replace_settings
 
@@ -22,7 +23,7 @@ TRIED = 40
 """Options that are run before training, to know how long they last."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PrimitivesSettings(DQNSettings):
     """Settings of `PrimitivesDQN`, which `read_room` fills in, beside those of `dqn`."""
 
@@ -46,15 +47,28 @@ class PrimitivesDQN(DQN):
 
     def cut(self, action_mask: NDArray[Any]) -> NDArray[Any]:
         """Mask of the primitives."""
-        return action_mask[: self.settings.primitives]
+        return action_mask[..., : self.settings.primitives]
 
     def list_options(self, action_mask: NDArray[Any]) -> NDArray[np.int64]:
         """Legal options."""
         return np.flatnonzero(action_mask[self.settings.primitives:]) + self.settings.primitives
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal primitive of highest value."""
-        return super().act_greedy(observation, self.cut(action_mask), rng)
+    def make_policy(self) -> Policy:
+        """Make the policy that takes the legal primitive of highest value."""
+        return _PrimitivesPolicy(self, super().make_policy())
+
+
+class _PrimitivesPolicy(Policy):
+    """A policy that is shown the mask of the primitives."""
+
+    def __init__(self, agent: PrimitivesDQN, policy: Policy) -> None:
+        self._agent, self._policy = agent, policy
+
+    def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
+        self._policy.begin_episode(rng, num_envs)
+
+    def act(self, batch: Moments) -> Any:
+        return self._policy.act(batch._replace(action_mask=self._agent.cut(batch.action_mask)))
 
 
 def read_room(kind: type[_SettingsType], env: Any, changes: Mapping[str, Any]) -> _SettingsType:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import gymnasium
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
+from hrl_escape.agents.seam import serve_one
 
 
 def interact(agent: Agent, env: gymnasium.Env, decisions: int, seed: int = 0) -> Iterator[SMDPTransition]:
@@ -14,10 +15,11 @@ def interact(agent: Agent, env: gymnasium.Env, decisions: int, seed: int = 0) ->
     actions = int(env.action_space.n)
     observation, info = env.reset(seed=seed)
     mask = read_action_mask(info, actions)
+    served = serve_one(agent)
     for _ in range(decisions):
-        action = agent.act(observation, mask)
+        action = served.act(observation, mask)
         transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
-        agent.observe(transition)
+        served.observe(transition)
         yield transition
         observation, mask = transition.next_observation, transition.next_action_mask
         if transition.terminated or transition.truncated:

@@ -28,8 +28,8 @@ MUTATIONS = [
     Mutation(
         "a full replay overwrites its last row only",
         "agents/components/replay.py",
-        "row = self.added % self.capacity",
-        "row = min(self.added, self.capacity - 1)",
+        "first = (self.added + begin) % capacity",
+        "first = min(self.added + begin, capacity - 1)",
         "agents/components/test_replay.py",
     ),
     Mutation(
@@ -49,8 +49,8 @@ MUTATIONS = [
     Mutation(
         "the greedy policy follows the network that learns",
         "agents/algorithms/dqn.py",
-        "self.average.compute(self._encoder",
-        "self.online.compute(self._encoder",
+        "return GreedyPolicy(self._encoder, self.values.average, Memory())",
+        "return GreedyPolicy(self._encoder, self.values.online, Memory())",
         "agents/algorithms/test_deep_losses.py agents/components/test_learner.py",
     ),
     Mutation(
@@ -63,8 +63,8 @@ MUTATIONS = [
     Mutation(
         "one update follows a step of many environments, however many are due",
         "agents/components/replay.py",
-        "count = min(due, settings.stream_updates)",
-        "count = min(due, 1)",
+        "settings.stream_updates if is_many",
+        "1 if is_many",
         "agents/components/test_stream_replay.py::test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_limit",
     ),
     Mutation(
@@ -250,9 +250,9 @@ MUTATIONS = [
              "both_processes_are_taught_stream_by_stream_what_the_formulas_say"),
     Mutation(
         "ppo in one environment goes by what was kept of streams",
-        "agents/algorithms/ppo.py",
-        "            self._open = None\n",
-        "            pass\n",
+        "agents/seam.py",
+        "        agent.begin_episodes()\n",
+        "        pass\n",
         "agents/training/test_streams.py"
         "::test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_of_its_own_choices",
     ),

@@ -114,22 +114,22 @@ MUTATIONS = [
     Mutation(
         "7 discounts shuffled on the way out of a checkpoint",
         "agents/components/replay.py",
-        "field[: len(self)] = stored",
-        "field[: len(self)] = stored if name != 'bootstrap' else stored[::-1]",
+        "field[: len(self)] = self._arrays.restore(stored)",
+        "field[: len(self)] = self._arrays.restore(stored if name != 'bootstrap' else stored[::-1])",
         "agents/components/test_replay.py::test_trap_7_what_is_sampled_is_what_was_stored_also_after_a_checkpoint",
     ),
     Mutation(
         "8 n-step multiplies one gamma only",
         "agents/components/replay.py",
-        "bootstrap=first.bootstrap * then.bootstrap,",
-        "bootstrap=then.bootstrap,",
+        "where(follows, bootstrap * fields.bootstrap[last], bootstrap)",
+        "where(follows, fields.bootstrap[last], bootstrap)",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),
     Mutation(
         "8 n-step runs over an episode's end",
         "agents/components/replay.py",
-        "if episode_over:",
-        "if False:",
+        "self._arrays.library.where(over, -1, number)",
+        "number",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),
     Mutation(
@@ -163,8 +163,8 @@ MUTATIONS = [
     Mutation(
         "11 ddpg's argmax ignores the mask",
         "agents/components/exploration.py",
-        "legal = mask_values(values, mask)\n    best",
-        "legal = values\n    best",
+        "legal = library.where(mask, values, -np.inf)\n    if temperature",
+        "legal = values\n    if temperature",
         "agents/test_registry.py::test_trap_11_no_agent_ever_takes_an_illegal_action[ddpg]",
     ),
     Mutation(
@@ -173,6 +173,28 @@ MUTATIONS = [
         "next_values = self.compute_values(next_observation)\n        ended",
         "next_values = self.compute_values(observation)\n        ended",
         "agents/algorithms/test_tabular.py::test_trap_12_termination_is_weighed_at_the_state_reached",
+    ),
+    Mutation(
+        "9 the greedy policy takes an illegal action, in many environments",
+        "agents/components/policy.py",
+        "scores.masked_fill(~mask, -np.inf).argmax(1)",
+        "scores.argmax(1)",
+        "agents/components/test_policy.py::test_a_policy_chooses_alike_in_one_environment_and_in_many",
+    ),
+    Mutation(
+        "8 a backup is joined with a decision that took another's place",
+        "agents/components/replay.py",
+        "max(self.added + count - capacity, 0)",
+        "0",
+        "agents/components/test_stream_replay.py::test_a_full_ring_joins_no_decision_with_one_that_took_another_s_place",
+    ),
+    Mutation(
+        "3 a truncation is valued as the next episode's first state",
+        "agents/components/policy_gradient.py",
+        "(after >= 0) & ~rollout.over",
+        "after >= 0",
+        "agents/algorithms/test_smdp_oracle.py"
+        "::test_advantages_of_ppo_are_discounted_sums_of_errors_and_chances_are_those_of_the_choice[decision-64-9]",
     ),
     Mutation(
         "14 a free self-loop",
@@ -212,8 +234,8 @@ MUTATIONS = [
     Mutation(
         "a checkpoint forgets a generator",
         "agents/components/replay.py",
-        '"_action_rng", "_replay_rng")',
-        '"_action_rng")',
+        'return {"replay": self.replay, "draws": self._arrays}',
+        'return {"replay": self.replay}',
         "agents/training/test_resuming.py::test_a_restored_agent_goes_on_to_the_same_bits[dqn-corrected]",
     ),
     Mutation(
@@ -433,8 +455,8 @@ MUTATIONS = [
     Mutation(
         "8 n-step keeps the first decision's legal actions",
         "agents/components/replay.py",
-        ",\n                          next_mask=then.next_mask)",
-        ")",
+        "fields.next_observation[last], fields.next_mask[last])",
+        "fields.next_observation[last], fields.next_mask[rows])",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),
 ]

@@ -16,33 +16,28 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
-    choose_best,
-    compute_choice_entropy,
     compute_epsilon,
+    compute_exploration,
     make_rng,
-    mask_values,
-    sample_legal,
+    measure_conduct,
 )
-from hrl_escape.agents.components.networks import Learner, compute_td_loss, make_generator, make_network
-from hrl_escape.agents.components.replay import (
-    Experience,
-    ReplaySettings,
-    ReplayStreamAgent,
-    UpdateSchedule,
-    make_experience,
-)
+from hrl_escape.agents.components.memory import Memory
+from hrl_escape.agents.components.networks import Learner, Network, compute_td_loss, make_generator, make_network
+from hrl_escape.agents.components.policy import GreedyPolicy
+from hrl_escape.agents.components.replay import Experience, ReplayAgent, UpdateSchedule
+from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.keras_rl_2019.keras_rl import LinearRelaxation
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class DDPGSettings(ReplaySettings):
-    """Relaxation of discrete actions, exploration, replay and targets of `ddpg`; `warmup` is the critic's."""
+@dataclass(frozen=True, kw_only=True)
+class DDPGSettings(AgentSettings):
+    """Settings of `ddpg`; `warmup` is the critic's."""
 
     relaxation: Literal["one-hot", "linear"] = "one-hot"
     """Action vector that the critic sees. `one-hot`: the action that ran, so that the actor can follow its expected
@@ -64,6 +59,51 @@ class DDPGSettings(ReplaySettings):
     """Weight of the actor's entropy in its loss, in scaled rewards; `one-hot` only. It keeps the softmax's gradient
     alive and leaves the argmax of the best policy where it is."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive. Higher values look further ahead and learn more slowly."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
+    bootstrap_on_truncation: bool = True
+    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
+
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning; 1 acts at random."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform, as in Keras; or orthogonal, with tanh units."""
+    scale_observations: bool = True
+    """Map components with finite bounds to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Factor on the rewards that networks learn. Smaller values suit larger returns."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam. Too large a step diverges."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; 1e-7 in Keras."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
+
+    warmup: Annotated[int, Range(0)] = 500
+    """Steps of the clock before the first update."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each step of the clock. More learn more from the same experience and take longer."""
+    stream_updates: Annotated[int, Range(1)] = 16
+    """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
+    learn less, because the target network follows updates."""
+    stream_replay: Annotated[int, Range(1)] = 128
+    """Least decisions of each of many environments, on average, for which replay has room."""
+
 
 class OneHotRelaxation:
     """The action vector is one-hot.
@@ -79,11 +119,11 @@ class OneHotRelaxation:
     def __init__(self, entropy_weight: float) -> None:
         self._entropy_weight = entropy_weight
 
-    def encode(self, outputs: NDArray[np.float32], action: int) -> NDArray[np.float32]:
-        """The vector that replay keeps, (actions,)."""
-        vector = np.zeros_like(outputs)
-        vector[action] = 1
-        return vector
+    def encode(self, outputs: Any, action: Any) -> Any:
+        """Vectors that replay keeps, (n, actions), of outputs of that shape and actions (n,), arrays or tensors."""
+        library: Any = np if isinstance(outputs, np.ndarray) else torch
+        columns = library.arange(outputs.shape[1], device=outputs.device)
+        return (columns == action[:, None]) + library.zeros_like(outputs)
 
     def relax(self, outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
         """The best legal actions for an actor's outputs, all (batch, actions)."""
@@ -104,7 +144,7 @@ class OneHotRelaxation:
         return -(policy * values).sum(dim=1).mean() - self._entropy_weight * entropy
 
 
-class DDPG(ReplayStreamAgent):
+class DDPG(ReplayAgent):
     """Critic: minimise the mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)). Actor: maximise the mean of Q(s, mu(s)).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The action that runs is the argmax of
@@ -112,8 +152,8 @@ class DDPG(ReplayStreamAgent):
     """
 
     settings: DDPGSettings
-    STATE = (Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
-             Kept("_noise.state", "noise"))
+    STATE = (Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"),
+             Kept("_noise.state", "noise"), Kept("_noise_rng", "action_rng"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DDPGSettings | None = None) -> None:
@@ -131,62 +171,62 @@ class DDPG(ReplayStreamAgent):
         critics = {"critic": self.critic, "target_critic": self.target_critic}
         self._actor_learner = Learner(self.name, actors, ["actor"], settings)
         self._critic_learner = Learner(self.name, critics, ["critic"], settings)
-        is_linear = settings.relaxation == "linear"
-        self.relaxation = LinearRelaxation() if is_linear else OneHotRelaxation(settings.entropy_weight)
+        self._is_linear = settings.relaxation == "linear"
+        self.relaxation = LinearRelaxation() if self._is_linear else OneHotRelaxation(settings.entropy_weight)
+        self._noise_rng = make_rng(seed, "actions")
         self._noise = OrnsteinUhlenbeck(actions) if settings.exploration == "ornstein-uhlenbeck" else None
-        self._vector = np.zeros(actions, np.float32)  # of the last action, as replay keeps it
+        self._vector = np.zeros((1, actions), np.float32)  # of the latest actions of one environment, for replay
         self._conduct: dict[str, float] = {}
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Outputs of the actor behind the greedy policy at an observation, before the mask, float32 (actions,)."""
-        actor = self.target_actor if self.settings.average_actor else self.actor
-        return actor.compute(self._encoder.encode(observation))
+        return self._best_actor.compute(self._encoder.encode(observation))
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """The argmax of the actor's outputs with noise, or a random action, as the settings say."""
-        preferences = outputs = self.actor.compute(self._encoder.encode(observation))
+    @property
+    def _best_actor(self) -> Network:
+        return self.target_actor if self.settings.average_actor else self.actor
+
+    def act(self, batch: Moments) -> Any:
+        """The argmax of the actor's outputs with noise, or a random action, as the settings say, int64 (n,)."""
+        preferences = outputs = self.actor.evaluate(self._encoder.encode_batch(batch.observation))
         if self._noise is not None:
-            outputs = preferences + self._noise.sample(self._action_rng).astype(np.float32)
-        epsilon = compute_epsilon(self.settings, self._schedule.steps)
-        is_random = self._noise is None and self._action_rng.random() < epsilon
-        action = sample_legal(action_mask, self._action_rng) if is_random else choose_best(outputs, action_mask)
+            outputs = preferences + self._noise.sample(self._noise_rng).astype(np.float32)
+        epsilon = compute_epsilon(self.settings, self._schedule.steps) if self._noise is None else 0.0
+        policy = compute_exploration(outputs, batch.action_mask, epsilon=epsilon)
+        action = self._arrays.draw_choices(policy)
         self._vector = self.relaxation.encode(outputs, action)
-        policy = np.exp(mask_values(preferences, action_mask) - preferences[action_mask].max())
-        self._conduct = {"entropy": compute_choice_entropy(policy / policy.sum()),
-                         "greedy": float(preferences[action] >= preferences[action_mask].max())}
+        soft = compute_exploration(preferences, batch.action_mask, temperature=1.0)
+        self._conduct = measure_conduct(soft, preferences, batch.action_mask, action)
         return action
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The argmax of `compute_preferences` over legal actions."""
-        return choose_best(self.compute_preferences(observation), action_mask)
+    def make_policy(self) -> Policy:
+        """Make the greedy policy of the averaged actor."""
+        return GreedyPolicy(self._encoder, self._best_actor, Memory())
 
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Store the decision, then make the updates that are due."""
-        self.replay.add(make_experience(transition, self._encoder, self.settings)._replace(action=self._vector))
-        if self._noise is not None and (transition.terminated or transition.truncated):
+    def observe(self, batch: Decisions) -> Mapping[str, float]:
+        """Store the decisions, then make the updates that are due."""
+        over = batch.terminated | batch.truncated
+        vector = self._vector if self._is_linear else self.relaxation.encode(batch.next_action_mask + 0.0, batch.action)
+        self.replay.add(self.make_experience(batch)._replace(action=vector), batch.env, over)
+        if self._noise is not None and over[0]:
             self._noise.reset()
-        return self.make_due_updates(transition) | self._conduct
+        conduct, epsilon = self._conduct, compute_epsilon(self.settings, self._schedule.steps)
+        return {"epsilon": epsilon, **self.make_due_updates(batch.duration), **conduct}
 
-    def begin_streams(self, count: int, device: torch.device) -> None:
-        """Begin episodes in all streams; raises `AgentSettingsError` with noise of memory or the paper's relaxation."""
+    def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
+        """Begin episodes; `AgentSettingsError` for many environments with noise of memory or the paper's relaxation."""
         for name, allowed in (("exploration", "epsilon-greedy"), ("relaxation", "one-hot")):
-            if (value := getattr(self.settings, name)) != allowed:
+            if (value := getattr(self.settings, name)) != allowed and device is not None:
                 raise AgentSettingsError(name, value, f"{allowed!r} in many environments at once")
-        super().begin_streams(count, device)
+        super().begin_episodes(num_envs, device)
 
     def move(self, device: torch.device) -> None:
         """Move networks and optimisers to a device."""
         for learner in (self._actor_learner, self._critic_learner):
             learner.move(device)
 
-    def compute_scores(self, encoded: torch.Tensor) -> torch.Tensor:
-        """Outputs of the actor, (n, actions)."""
-        return self.actor(encoded)
-
-    def update(self, batch: Experience) -> dict[str, float]:
+    def update(self, batch: Experience) -> Mapping[str, float]:
         """One gradient step of the critic and one of the actor, each once it is warm."""
-        if batch.action.ndim == 1:  # of streams
-            batch = batch._replace(action=functional.one_hot(batch.action, self._actions).float())
         metrics: dict[str, float] = {}
         if self._schedule.steps > self.settings.warmup:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))

@@ -9,21 +9,31 @@ soonest open outcome while one is in reach, then to the best known end of the ta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
+from hrl_escape.agents.agent import AgentSettings
+from hrl_escape.agents.factored.planning_agent import PlanningAgent
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class FactoredRMaxSettings(PlanningSettings):
+@dataclass(frozen=True, kw_only=True)
+class FactoredRMaxSettings(AgentSettings):
     """Samples that settle a context of `factored-r-max`, beside hypotheses and search."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    max_parents: Annotated[int, Range(0, 8)] = 2
+    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    conditions: Literal["all-on", "any"] = "all-on"
+    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
+    (wherever every factor is a bit). `any`: each combination of their values."""
+    most_nodes: Annotated[int, Range(1)] = 20_000
+    """States that a search may expand; what it has not found by then it takes to be out of reach."""
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a context known; 1 is enough where outcomes are deterministic."""
 

@@ -10,23 +10,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition
 from hrl_escape.agents.components.exploration import sample_index
-from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
+from hrl_escape.agents.factored.planning_agent import PlanningAgent
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class MonteCarloModelSettings(PlanningSettings):
+@dataclass(frozen=True, kw_only=True)
+class MonteCarloModelSettings(AgentSettings):
     """Draws of `monte-carlo-model` and what makes a structure likely, beside hypotheses and search."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    max_parents: Annotated[int, Range(0, 8)] = 2
+    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    conditions: Literal["all-on", "any"] = "all-on"
+    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
+    (wherever every factor is a bit). `any`: each combination of their values."""
+    most_nodes: Annotated[int, Range(1)] = 20_000
+    """States that a search may expand; what it has not found by then it takes to be out of reach."""
     samples: Annotated[int, Range(1)] = 2
     """Structures drawn for each action; the first predicts, a context that any of them has not met is open."""
     size_penalty: Annotated[float, Range(0)] = 1.0

@@ -1,26 +1,29 @@
 """Proximal policy optimisation over decisions of any duration, with masked actions, in one environment or in many.
 
-Schulman et al. (2017), advantages by Schulman et al. (2016), masks by Huang and Ontanon (2022). In the
-advantage each decision discounts by its own gamma^k; lambda falls per decision or per primitive, as set.
+    maximise the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A) + entropy,    minimise (V(s) - (A + V_old(s)))^2
+
+ratio = pi(o | s) / pi_old(o | s) over legal actions. A is the generalised advantage: delta = R + b V(s') - V(s),
+A = delta + b lambda A', with b = gamma^k (1 - terminated) of each decision. Schulman et al. (2017), advantages by
+Schulman et al. (2016), masks by Huang and Ontanon (2022).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import gymnasium
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import LearningSettings, SMDPTransition, count_actions
-from hrl_escape.agents.components.bonuses import NoveltySettings
-from hrl_escape.agents.components.distillation import make_bonus, visit_streams
-from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
-from hrl_escape.agents.components.memory import cut_stretches, make_memory
+from hrl_escape.agents.agent import AgentSettings, compute_backup, count_actions
+from hrl_escape.agents.batch_agent import BatchAgent
+from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.distillation import make_bonus
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.memory import Recollections, make_memory
 from hrl_escape.agents.components.networks import (
     Learner,
     ObservationEncoder,
@@ -28,271 +31,205 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_state_network,
 )
+from hrl_escape.agents.components.policy import GreedyPolicy
 from hrl_escape.agents.components.policy_gradient import (
-    ClippedSettings,
     Rollout,
-    collect_decisions,
+    RolloutBuffer,
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
-    compute_next_values,
-    draw_minibatches,
-    keep_decision,
-    sample_policy,
-    stack_decisions,
+    find_next,
     take_column,
 )
-from hrl_escape.agents.state import Kept, StateTree
-from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
+from hrl_escape.agents.decisions import Decisions, Moments, Policy
+from hrl_escape.agents.state import Stateful
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class PPOSettings(NoveltySettings, ClippedSettings, LearningSettings):
-    """Network, rollouts, clipped objective and bonus of `ppo`."""
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings(AgentSettings):
+    """Settings of `ppo`."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive. Higher values look further ahead and have more variance."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
+    bootstrap_on_truncation: bool = True
+    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Lambda of generalised advantage estimation. 1 has the most variance, and no bias from the critic."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Ignored: rollouts count decisions."""
+
+    rollout: Annotated[int, Range(2)] = 256
+    """Decisions collected before each round of updates, of all environments together. More make steadier updates, and
+    fewer of them."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
+    many minibatches, so into larger ones."""
+    epochs: Annotated[int, Range(1)] = 10
+    """Passes over a rollout. More learn more from it and move further from the policy that collected it."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in a minibatch of a rollout of `rollout` decisions."""
+    clip: Annotated[float, Range(0, open_low=True)] = 0.2
+    """Bound on how far the probability ratio may move to any advantage. Smaller is slower and steadier."""
+    normalise_advantages: bool = True
+    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Before the first success that blows
+    noise up to full-sized steps."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy. More explores for longer."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value error."""
 
     network: Literal["mlp", "objects"] = "mlp"
-    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
-    permutation of the objects; for the observation `objects`."""
+    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, for the
+    observation `objects`."""
     memory: Literal["none", "gru"] = "none"
     """`gru`: a gated recurrent unit remembers the episode's observations, for tasks that the present one does not
-    decide. It begins every episode empty."""
+    decide."""
     memory_units: Annotated[int, Range(1)] = 32
     """Size of its state; with `network=objects`, of each object's."""
     memory_span: Annotated[int, Range(1)] = 32
-    """Most decisions through which a gradient goes back."""
+    """Most decisions through which a gradient goes back. More learn longer dependencies and take longer."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform, as in Keras; or orthogonal, with tanh units and a small
+    last layer of the policy."""
+    scale_observations: bool = True
+    """Map components with finite bounds to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Factor on the rewards that the critic learns. Smaller values suit larger returns."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam. Too large a step diverges."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; 1e-7 in Keras."""
+    max_grad_norm: Annotated[float, Range(0)] = 0.5
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+
+    bonus: Literal["counts", "distillation"] = "counts"
+    """Novelty behind `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et
+    al. 2018)."""
+    bonus_weight: Annotated[float, Range(0)] = 0.0
+    """Largest cost of reaching what is known, in units of return. More explores more; 0 turns novelty off."""
+    bonus_bins: Annotated[int, Range(2)] = 5
+    """Points to which a bounded component is rounded for counting. More make finer cells, each met less often."""
 
 
-class PPO(StreamAgent):
-    """Maximise the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A) + entropy, minimise (V - target)^2.
+class PPO(BatchAgent):
+    """Proximal policy optimisation; the equation is in the module's text.
 
-    ratio = pi(o | s) / pi_old(o | s) over legal actions. A is `compute_advantages`, normalised in each minibatch, and
-    the value's target is A + V_old. There is no epsilon schedule: the policy itself is random. A decision that outlasts
-    the rollout in which it was made counts in the next one, with the probability that it was made with.
+    The policy itself is random, so there is no schedule of exploration. A decision that outlasts the rollout in which
+    it was made counts in the next one, with the probability that it was made with.
+
+    Attributes:
+        policy: logits of the actions.
+        critic: V in scaled rewards.
+        rollout: decisions since the last round of updates.
     """
 
     settings: PPOSettings
     is_markov: bool = True
-    STATE = ("_learner", Kept("_collected_rollout", "rollout", unpack=dict), Kept("_open", "streams"), "_recollection",
-             "_bonus", "_action_rng", "_batch_rng", "_stream_rng")
+    STATE = ("_learner", "_bonus", "_batch_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: PPOSettings | None = None) -> None:
         self.settings = settings = settings or PPOSettings()
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        self._actions = count_actions(action_space, self.name)
+        self._seed, actions = seed, count_actions(action_space, self.name)
         generator = make_generator(make_rng(seed, "weights"))
-        self._memory = make_memory(self._encoder, settings, settings.network == "objects", generator)
-        size = 0 if self._memory is None else self._memory.size
-        self.policy = make_action_network(self._encoder, action_space, settings, generator, 0.01, size)
-        self.critic = make_state_network(self._encoder, settings, generator, size)
-        networks = {"policy": self.policy, "critic": self.critic}
-        self.is_markov = self._memory is None
-        if self._memory is not None:
-            networks["memory"] = self._memory.network
+        self._memory = make_memory(self._encoder, settings.memory, settings.memory_units, settings.memory_span,
+                                   settings.network == "objects", generator)
+        self.policy = make_action_network(self._encoder, action_space, settings, generator, 0.01, self._memory.size)
+        self.critic = make_state_network(self._encoder, settings, generator, self._memory.size)
+        networks = {"policy": self.policy, "critic": self.critic, **self._memory.networks}
         self._learner = Learner(self.name, networks, networks, settings)
-        self._action_rng, self._batch_rng = make_rng(seed, "actions"), make_rng(seed, "batches")
-        self._stream_rng = make_rng(seed, "streams")
         self._bonus = make_bonus(observation_space, seed, settings, self.name)
-        self._open: OpenChoices | None = None  # of streams; None while one environment is played
-        self._recollection = self._before = np.zeros(size, np.float32)  # of the one environment: now, and before
-        self._latest: NDArray | None = None
-        self._forget()
+        self._batch_rng = make_rng(seed, "batches")
+        self.is_markov, self._actions = self._memory.size == 0, actions
+        self._prepare(1, None)
 
-    def _forget(self) -> None:
-        self._chunks: list[Rollout] = []
-        self._rows: list[tuple] = []  # of the one environment, after the chunks
-        self._collected = 0
+    def _prepare(self, num_envs: int, device: torch.device | None) -> None:
+        self.place = num_envs, device
+        self._arrays = Arrays(make_rng(self._seed, "draws"), device)
+        self._recollections = Recollections(self._memory, num_envs, self._arrays)
+        self._least = max(self.settings.rollout, 0 if device is None else self.settings.stream_rollout * num_envs)
+        self.rollout = RolloutBuffer(self._arrays, num_envs)
+
+    def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
+        """Begin episodes; where there are as many as before, those of the present rollout count as truncated."""
+        if self.place == (num_envs, device):
+            self.rollout.truncate()
+            self._recollections.begin_episodes()
+        else:
+            self._learner.move(device or torch.device("cpu"))
+            self._prepare(num_envs, device)
+
+    def act(self, batch: Moments) -> Any:
+        """Draw from the policy over legal actions, int64 (n,)."""
+        seen = self._recollections.see(batch.env, self._encoder.encode_batch(batch.observation))
+        log_policy = compute_log_policy(self.policy.evaluate(seen), batch.action_mask)
+        action = self._arrays.draw_choices(self._arrays.library.exp(log_policy))
+        self.rollout.note_choice(batch.env, take_column(log_policy, action))
+        return action
+
+    def observe(self, batch: Decisions) -> Mapping[str, float]:
+        """Keep the decisions; improve the policy when the rollout is full."""
+        reward, bootstrap = compute_backup(batch, self.settings)
+        reward = (reward + self._bonus.visit_batch(batch.next_observation)) * self.settings.reward_scale
+        over = batch.terminated | batch.truncated
+        self.rollout.add(
+            self._encoder.encode_batch(batch.observation), batch.action_mask, batch.action,
+            self.rollout.log_probability[batch.env], reward, bootstrap, batch.duration, over,
+            self._encoder.encode_batch(batch.next_observation), self._recollections.end(batch.env, over), batch.env)
+        return self.improve(self.rollout.take()) if len(self.rollout) >= self._least else {}
+
+    def improve(self, rollout: Rollout) -> Mapping[str, float]:
+        """Make a round of updates from a rollout; returns means over them to log."""
+        settings, memory = self.settings, self._memory
+        with torch.no_grad():
+            seen = memory.read(rollout.observation, rollout.memory)
+            values = self.critic(seen).squeeze(1)
+            after, goes_on = find_next(rollout)
+            last = (~goes_on).nonzero().squeeze(1)  # no decision follows: the critic values the state reached
+            reached = memory.read(rollout.next_observation[last], memory.get_state(seen[last]))
+            next_values = values[after].index_copy(0, last, self.critic(reached).squeeze(1))
+            advantages = compute_advantages(rollout, values, next_values, settings)
+            targets = advantages + values
+        size = max(settings.batch_size, len(values) * settings.batch_size // settings.rollout)
+        metrics = self._learner.minimise_each(
+            self.compute_loss(seen, rollout.mask[rows], rollout.action[rows], rollout.log_probability[rows],
+                              advantages[rows], targets[rows])
+            for rows, seen in memory.draw_batches(rollout, size, self._batch_rng, settings.epochs)
+            if len(rows) > 1)  # one advantage cannot be normalised
+        return metrics | {"gradient_norm": self._learner.gradient_norm,
+                          "value": values.mean().item() / settings.reward_scale}
+
+    def compute_loss(self, seen: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor, advantage: Tensor,
+                     target: Tensor) -> dict[str, Tensor]:
+        """The loss over a minibatch, and after it its parts; `seen` are the inputs of the networks."""
+        return compute_clipped_parts(compute_log_policy(self.policy(seen), mask), mask, action,
+                                     self.critic(seen).squeeze(1), old_log_probability, advantage, target,
+                                     self.settings)
+
+    def make_policy(self) -> Policy:
+        """Make the policy that takes the likeliest legal action."""
+        return GreedyPolicy(self._encoder, self.policy, self._memory)
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Logits of the policy at an observation, before any mask, float32 (actions,).
 
         With a memory: of the latest choice, if this was its observation, else of an episode that begins here.
         """
-        return self.policy.compute(self._see(observation))
+        return self.policy.compute(self._memory.recall(self._encoder.encode(observation)))
 
     def compute_state_value(self, observation: Any) -> float:
         """V(s) at an observation, in units of return."""
-        return float(self.critic.compute(self._see(observation))[0]) / self.settings.reward_scale
+        value = self.critic.compute(self._memory.recall(self._encoder.encode(observation)))
+        return float(value[0]) / self.settings.reward_scale
 
-    def _see(self, observation: Any, recollection: NDArray | None = None) -> NDArray:
-        """Input of the networks: the encoded observation, with what is remembered once it is seen."""
-        encoded = self._encoder.encode(observation)
-        if self._memory is None:
-            return encoded
-        if recollection is None:
-            if self._latest is not None and np.array_equal(self._latest[: len(encoded)], encoded):
-                return self._latest
-            recollection = np.zeros_like(self._before)
-        both = (torch.from_numpy(part)[None].to(self.policy.weights.device) for part in (encoded, recollection))
-        with torch.no_grad():
-            self._latest = seen = self._memory.read(*both)[0].cpu().numpy()
-        return seen
-
-    def _recall(self, seen: NDArray) -> NDArray:
-        """Part of the networks' input that the memory holds; empty without one."""
-        return self._before if self._memory is None else seen[len(seen) - len(self._before) :]
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Draw from the policy over legal actions."""
-        seen = self._see(observation, self._recollection)
-        self._before, self._recollection = self._recollection, self._recall(seen)
-        policy = compute_softmax(mask_values(self.policy.compute(seen), action_mask))
-        return sample_index(policy, self._action_rng)
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest legal action."""
-        (recollection,) = self.recall(rng) or (np.zeros_like(self._before),)
-        seen = self._see(observation, recollection)
-        self._evaluation = rng, self._recall(seen)
-        return choose_best(self.policy.compute(seen), action_mask)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision; update when the rollout is full. Streams are over with it, and what they collected."""
-        if self._open is not None:
-            self._open = None
-            self._forget()
-        bonus = self._bonus.visit(transition.next_observation)
-        self._rows.append(keep_decision(transition, self._encoder, self.settings, self._before, bonus))
-        if transition.terminated or transition.truncated:
-            self._recollection = np.zeros_like(self._before)
-        self._collected += 1
-        return self._learn() if self._collected >= self.settings.rollout else {}
-
-    # --- streams -------------------------------------------------------------------------
-
-    def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move networks and optimiser to a device; every stream begins an episode, and what was collected ends there.
-
-        Where streams begin anew in the middle of a rollout, its decisions stay, and their episodes count as truncated.
-        """
-        if self._open is not None and self._open.has(count, device):
-            if self._collected:
-                rollout = self._gather()
-                over = rollout.over | self._open.find_last(rollout.stream, rollout.place)
-                self._chunks = [rollout._replace(over=over)]
-            self._open.begin_episodes()
-            return
-        self._learner.move(device)
-        self._open = OpenChoices(count, self._actions, device, self._stream_rng, len(self._before))
-        self._forget()
-
-    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
-        """Draw from the policy over legal actions, for each row."""
-        assert self._open is not None, "begin_streams comes first"
-        seen = self._encoder.encode_many(observation)
-        numbers = len(self._before)
-        with torch.no_grad():
-            if self._memory is not None:
-                seen = self._memory.read(seen, self._open.memory[stream])
-            log_policy = compute_log_policy(self.policy(seen), mask)
-        action = sample_policy(log_policy, self._open.generator)
-        self._open.choose(stream, mask, take_column(log_policy, action),
-                          seen[:, seen.shape[1] - numbers :] if numbers else self._open.memory[stream])
-        return action
-
-    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
-        """Keep the decisions; update when the rollout is full."""
-        assert self._open is not None, "begin_streams comes first"
-        bonus = visit_streams(self._bonus, decisions.next_observation, self.settings)
-        self._chunks.append(collect_decisions(self._open, decisions, self._encoder, self.settings, bonus))
-        self._collected += len(decisions.stream)
-        least = max(self.settings.rollout, self.settings.stream_rollout * self._open.count)
-        return self._learn() if self._collected >= least else {}
-
-    # --- learning ------------------------------------------------------------------------
-
-    def _gather(self) -> Rollout:
-        first = sum(len(chunk.place) for chunk in self._chunks)
-        chunks = self._chunks + ([stack_decisions(self._rows, first)] if self._rows else [])
-        return Rollout(*map(torch.cat, zip(*chunks, strict=True)))
-
-    def _learn(self) -> dict[str, float]:
-        """The updates from the rollout, which then begins anew; returns means over them."""
-        rollout = self._gather()
-        self._forget()
-        mask, action = rollout.mask, rollout.action
-        seen = rollout.observation
-        with torch.no_grad():
-            if self._memory is None:
-                values = self._value(seen)
-                next_values = (self._value(rollout.next_observation) if self._open is None else
-                               compute_next_values(rollout, values, self._value))
-            else:
-                seen = self._memory.read(seen, rollout.memory)
-                reached = self._memory.read(rollout.next_observation, self._memory.get_state(seen))
-                values, next_values = self._value(seen), self._value(reached)
-            old_log_probability = rollout.log_probability
-            if self._open is None:  # the policy is still the one that chose
-                log_policy = compute_log_policy(self.policy(seen), mask)
-                old_log_probability = take_column(log_policy, action)
-            else:
-                self._open.begin_rollout()
-        advantages = compute_advantages(rollout, values, next_values, self.settings)
-        targets = advantages + values
-        totals = torch.zeros(4, device=action.device)
-        count = 0
-        for rows, batch in self._draw_batches(rollout):
-            loss, parts = self.compute_loss(
-                batch, mask[rows], action[rows], old_log_probability[rows], advantages[rows], targets[rows])
-            self._learner.minimise(loss)
-            totals += parts
-            count += 1
-        names = ("loss", "policy_loss", "value_loss", "entropy")
-        mean_value = values.mean().item() / self.settings.reward_scale
-        return dict(zip(names, (totals / count).tolist(), strict=True)) | {
-            "gradient_norm": self._learner.gradient_norm, "value": mean_value}
-
-    def _value(self, seen: Tensor) -> Tensor:
-        return self.critic(seen).squeeze(1)
-
-    def _draw_batches(self, rollout: Rollout) -> Iterator[tuple[Tensor, Tensor]]:
-        """Rows of each minibatch, and the networks' input there; with a memory, lived through again in stretches."""
-        settings, device = self.settings, rollout.action.device
-        total, batch_size = len(rollout.action), settings.batch_size
-        batch_size = max(batch_size, total * batch_size // settings.rollout)
-        if self._memory is None:
-            stretches, units = None, total
-        else:
-            stretches = cut_stretches(rollout.stream, rollout.place, settings.memory_span)
-            units = stretches.grid.shape[1]
-        for order in draw_minibatches(self._batch_rng, units, max(1, batch_size * units // total), settings.epochs):
-            drawn = order.to(device)
-            part = None if stretches is None else stretches.pick(drawn)
-            rows = drawn if part is None else part.rows
-            if len(rows) < 2:
-                continue  # one advantage cannot be normalised
-            if part is None or self._memory is None:
-                yield rows, rollout.observation[rows]
-            else:
-                yield rows, self._memory.read_stretches(rollout.observation, rollout.memory, rollout.over, part)
-
-    def compute_loss(self, observation: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor,
-                     advantage: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
-        """The loss over a minibatch; and, without gradient, (4,): loss, policy loss, value loss, entropy."""
-        log_policy = compute_log_policy(self.policy(observation), mask)
-        parts = compute_clipped_parts(log_policy, mask, action, self.critic(observation).squeeze(1),
-                                      old_log_probability, advantage, target, self.settings)
-        return parts["loss"], torch.stack(tuple(parts.values())).detach()
-
-    @property
-    def _collected_rollout(self) -> dict[str, Tensor] | None:
-        """Fields of the rollout so far; None where it is empty."""
-        return self._gather()._asdict() if self._collected else None
-
-    @_collected_rollout.setter
-    def _collected_rollout(self, saved: Mapping[str, Any] | None) -> None:
-        self._forget()
-        if saved is not None:
-            device = self.policy.weights.device
-            self._chunks = [Rollout(**{name: torch.from_numpy(np.asarray(field)).to(device)
-                                       for name, field in saved.items()})]
-            self._collected = len(self._chunks[0].place)
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`; streams go on if there are as many, on any device.
-
-        A rollout of many streams is dropped where one environment is played, and the other way round.
-        """
-        is_other = (self._open is None) != (state["streams"] is None)
-        super().load_state_dict({**state, "rollout": None} if is_other else state)
+    def list_running(self) -> dict[str, Stateful]:
+        """Parts of the state that belong to the present environments, by their names in a checkpoint."""
+        return {"rollout": self.rollout, "memory": self._recollections, "draws": self._arrays}

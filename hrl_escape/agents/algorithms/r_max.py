@@ -15,9 +15,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import DiscountSettings, SMDPTransition, count_actions
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
-from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
+from hrl_escape.agents.components.tables import make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.state import Kept, pack_columns, unpack_columns
 from hrl_escape.agents.streams import RowStreamAgent
@@ -27,10 +27,17 @@ SWEEPS = 20_000
 """Bound on sweeps of value iteration, for discounts near 1."""
 
 
-@dataclass(frozen=True)
-class RMaxSettings(DiscountSettings, ResolutionSettings):
+@dataclass(frozen=True, kw_only=True)
+class RMaxSettings(AgentSettings):
     """States as `r-max` tells them apart, samples that make a pair known, and the value of unknown pairs."""
 
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and action known (m); 1 is enough where outcomes are deterministic."""
     optimistic_value: float = 100.0

@@ -7,10 +7,10 @@ four off it is `dqn` to the bit.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from hrl_escape.agents.agent import GoalRule, count_actions
-from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
+from hrl_escape.agents.agent import AgentSettings, GoalRule, count_actions
+from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import (
     NoisyLinear,
@@ -30,13 +30,15 @@ from hrl_escape.agents.components.networks import (
     make_network,
 )
 from hrl_escape.agents.components.replay import Experience, Priorities
+from hrl_escape.agents.decisions import Moments
+from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class RainbowSettings(DQNSettings):
-    """The parts that `dqn` does not have.
+@dataclass(frozen=True, kw_only=True)
+class RainbowSettings(AgentSettings):
+    """Settings of `rainbow`: its own parts, then those of `dqn`.
 
     Defaults are those of the paper but for the support, `importance` and the noise, which costs networks of this size
     more than it explores (`benchmarks/README.md`).
@@ -60,6 +62,87 @@ class RainbowSettings(DQNSettings):
     """beta at the beginning, the power to which weights undo the priorities; it rises linearly to 1."""
     importance_steps: Annotated[int, Range(1)] = 100_000
     """Steps of the clock over which `importance` rises."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive. Higher values look further ahead and learn more slowly."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
+    bootstrap_on_truncation: bool = True
+    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
+
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning; 1 acts at random."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return. More explores more."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; 0 sets none."""
+    bonus: Literal["counts", "distillation"] = "counts"
+    """Novelty behind `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et
+    al. 2018)."""
+    bonus_weight: Annotated[float, Range(0)] = 0.0
+    """Largest cost of reaching what is known, in units of return. More explores more; 0 turns novelty off."""
+    bonus_bins: Annotated[int, Range(2)] = 5
+    """Points to which a bounded component is rounded for counting. More make finer cells, each met less often."""
+
+    network: Literal["mlp", "objects"] = "mlp"
+    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, for the
+    observation `objects`."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform, as in Keras; or orthogonal, with tanh units."""
+    scale_observations: bool = True
+    """Map components with finite bounds to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Factor on the rewards that networks learn. Smaller values suit larger returns."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam. Too large a step diverges."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; 1e-7 in Keras."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
+
+    double: bool = True
+    """The online network chooses o* and the target network values it, which avoids overestimation. False takes the
+    argmax of the target network."""
+    n_step: Annotated[int, Range(1)] = 3
+    """Decisions joined into one backup. More carry rewards back faster, and are off-policy by the share of
+    exploration."""
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 1.0
+    """Share of the online network blended into the target network at each of its updates; 1 copies it."""
+    target_every: Annotated[int, Range(1)] = 200
+    """Updates of the online network to one of the target network. Fewer follow faster and are less stable."""
+    average_rate: Annotated[float, Range(0, 1)] = 0.005
+    """Share of the online network blended at each update into the average that the greedy policy follows; 0 keeps no
+    average."""
+
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Steps of the clock before the first update."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each step of the clock. More learn more from the same experience and take longer."""
+    stream_updates: Annotated[int, Range(1)] = 16
+    """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
+    learn less, because the target network follows updates."""
+    stream_replay: Annotated[int, Range(1)] = 128
+    """Least decisions of each of many environments, on average, for which replay has room."""
+    hindsight_goals: Annotated[int, Range(0)] = 0
+    """Goals achieved later in its episode with which a decision is stored again (Andrychowicz et al. 2017, who take
+    4). For environments with goals; 0 for none."""
+
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -154,7 +237,7 @@ class Rainbow(DQN):
 
     Settings: ClassVar[type] = RainbowSettings
     settings: Any
-    STATE = ("_priorities", "_noise_rng")
+    STATE = ("_noise_rng", "_replay_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: RainbowSettings | None = None, goal_rule: GoalRule | None = None,
@@ -166,8 +249,7 @@ class Rainbow(DQN):
             network = ReturnLayers(ObservationEncoder(observation_space, settings.scale_observations),
                                    count_actions(action_space, self.name), settings,
                                    make_generator(make_rng(seed, "weights")))
-        super().__init__(observation_space, action_space, seed, settings, goal_rule, network)
-        self._priorities = Priorities(settings.priority_exponent)
+        super().__init__(observation_space, action_space, seed, settings, goal_rule, network)  # type: ignore[arg-type]
         self._drawn: tuple[NDArray[np.int64], NDArray[np.float32]] | None = None
         self._noise_rng = make_generator(make_rng(seed, "noise"))
 
@@ -182,32 +264,35 @@ class Rainbow(DQN):
         for layer in layers:
             layer.draw(None)
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Explore as the settings say, by the online network."""
+    def act(self, batch: Moments) -> Any:
+        """Explore by the online network, under one noise for all rows, int64 (n,)."""
         with self._draw_noise():
-            return super().act(observation, action_mask)
+            return super().act(batch)
 
-    def compute_scores(self, encoded: Tensor) -> Tensor:
-        """Values of the online network under one noise, in units of return, (n, actions)."""
-        with self._draw_noise():
-            return super().compute_scores(encoded)
+    def get_exploration(self) -> dict[str, float]:
+        """Parameters of exploration; epsilon is 0 where noise in the weights explores."""
+        return super().get_exploration() | ({"epsilon": 0.0} if self.settings.noise else {})
 
-    def begin_streams(self, count: int, device: torch.device) -> None:
-        """Begin episodes in all streams; their replay has priorities of its own."""
-        before = self._streams
-        super().begin_streams(count, device)
-        if self._streams is not before:
-            self._priorities = Priorities(self.settings.priority_exponent)
+    def make_replay(self, num_envs: int, device: torch.device | None) -> None:
+        """Make an empty replay, and priorities of its rows."""
+        super().make_replay(num_envs, device)
+        self._priorities = Priorities(self.settings.priority_exponent)
+        self._replay_rng = make_rng(self._seed, "replay")
 
-    def draw(self, replay: Any, batch: int, rng: Any) -> Experience:
-        """A batch by priorities, whose rows and weights are noted for the update."""
+    def list_running(self) -> dict[str, Stateful]:
+        """Parts that belong to the present environments, by the names in a checkpoint."""
+        return super().list_running() | {"priorities": self._priorities}
+
+    def draw(self, size: int) -> Experience:
+        """Draw a batch by priorities, whose rows and weights are kept for the update."""
         settings = self.settings
         if not settings.priority_exponent:
-            return super().draw(replay, batch, rng)
+            return super().draw(size)
         progress = min(self._schedule.steps / settings.importance_steps, 1.0)
-        beta = settings.importance + progress * (1 - settings.importance)
-        self._drawn = self._priorities.draw(replay, batch, beta, self._replay_rng)
-        return replay.take(self._drawn[0])
+        self._drawn = self._priorities.draw(self.replay, size,
+                                            settings.importance + progress * (1 - settings.importance),
+                                            self._replay_rng)
+        return self.replay.take(self._arrays.restore(self._drawn[0]))
 
     def compute_targets(self, batch: Experience) -> Tensor:
         """Projected distributions of R + b Z_target(s', o*), (batch, atoms); with one atom its value, (batch,)."""
@@ -230,7 +315,7 @@ class Rainbow(DQN):
         known = torch.special.xlogy(targets, targets) - targets * logits.log_softmax(dim=1)
         return known.sum(dim=1), logits.detach().softmax(dim=1) @ layers.support
 
-    def update(self, batch: Experience, *known: Any) -> dict[str, float]:
+    def update(self, batch: Experience) -> Mapping[str, float]:
         """One gradient step on a batch, weighted as it was drawn; returns numbers to log."""
         drawn, self._drawn = self._drawn, None
         if drawn is None and not self.settings.has_own_network:

@@ -17,17 +17,42 @@ from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate, ValueEstimators
 
-from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.exploration import EpsilonSettings
-from hrl_escape.agents.components.torchrl_agent import TorchRLReplayAgent, TorchRLReplaySettings
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition
+from hrl_escape.agents.components.torchrl_agent import TorchRLReplayAgent
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class TorchRLDQNSettings(EpsilonSettings, TorchRLReplaySettings):
+@dataclass(frozen=True, kw_only=True)
+class TorchRLDQNSettings(AgentSettings):
     """Exploration and targets of `torchrl-dqn`, beside replay."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
+    """Gradients are scaled down to this Euclidean norm."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; logged values stay in units of return."""
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Primitives before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     target_every: Annotated[int, Range(1)] = 200

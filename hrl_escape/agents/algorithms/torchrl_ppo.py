@@ -18,16 +18,30 @@ from torchrl.modules import ValueOperator
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
-from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.torchrl_agent import TorchRLAgent, TorchRLSettings
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition
+from hrl_escape.agents.components.torchrl_agent import TorchRLAgent
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class TorchRLPPOSettings(TorchRLSettings):
+@dataclass(frozen=True, kw_only=True)
+class TorchRLPPOSettings(AgentSettings):
     """Rollouts and losses of `torchrl-ppo`."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
+    """Gradients are scaled down to this Euclidean norm."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; logged values stay in units of return."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions between updates."""
     epochs: Annotated[int, Range(1)] = 10

@@ -15,15 +15,35 @@ from numpy.typing import NDArray
 from tensordict.nn import TensorDictModule
 from torchrl.objectives import DiscreteSACLoss, SoftUpdate, ValueEstimators
 
-from hrl_escape.agents.components.torchrl_agent import TorchRLReplayAgent, TorchRLReplaySettings
+from hrl_escape.agents.agent import AgentSettings
+from hrl_escape.agents.components.torchrl_agent import TorchRLReplayAgent
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class TorchRLSACSettings(TorchRLReplaySettings):
+@dataclass(frozen=True, kw_only=True)
+class TorchRLSACSettings(AgentSettings):
     """Temperature and targets of `torchrl-sac`, beside replay."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
+    """Gradients are scaled down to this Euclidean norm."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; logged values stay in units of return."""
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Primitives before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
     alpha: Annotated[float, Range(0, open_low=True)] = 0.1
     """Temperature at the beginning, in scaled rewards a nat."""
     entropy_share: Annotated[float, Range(0, 1)] = 0.2

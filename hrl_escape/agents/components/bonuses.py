@@ -7,43 +7,53 @@ from it as from any reward; reported returns leave it out. `make_cell_finder` mu
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+import sys
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import AgentSettings
-from hrl_escape.agents.components.tables import TabularSettings, make_cell_finder
+from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
 from hrl_escape.agents.state import Columns, Stateful
-from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class BonusSettings(AgentSettings):
-    """Weight and resolution of exploration by counts."""
+class Bonus(Stateful):
+    """Pay for novelty, by one observation or by a batch."""
 
-    bonus_weight: Annotated[float, Range(0)] = 0.0
-    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
-    nothing."""
-    bonus_bins: Annotated[int, Range(2)] = 5
-    """A component of the observation with bounds is rounded to the nearest of this many points for counting, both ends
-    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
+    _weight: float
+
+    @abstractmethod
+    def visit(self, observation: Any) -> float:
+        """Count a visit of an observation; returns the bonus, 0 or below, in units of return."""
+
+    @abstractmethod
+    def visit_many(self, observation: NDArray) -> NDArray[np.float32]:
+        """Count visits of a batch of observations (n, ...), row by row; returns their bonuses, (n,)."""
+
+    def visit_batch(self, observation: Any) -> Any:
+        """Count visits of a tensor (n, ...), or of a sequence of n observations; returns their bonuses, (n,).
+
+        Without a weight it is the number 0.
+        """
+        if not self._weight:
+            return 0.0
+        if isinstance(observation, Sequence):
+            return np.array([self.visit(each) for each in observation], np.float32)
+        torch = sys.modules["torch"]
+        return torch.from_numpy(self.visit_many(observation.cpu().numpy())).to(observation.device)
 
 
-@dataclass(frozen=True)
-class NoveltySettings(BonusSettings):
-    """Exploration by counts, or by what stands in for them; see `distillation.py`."""
+class CountBonus(Bonus):
+    """Counts of visits by cell, and the bonus of the next visit.
 
-    bonus: Literal["counts", "distillation"] = "counts"
-    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
-    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
-
-
-class CountBonus(Stateful):
-    """Counts of visits by cell, and the bonus of the next visit, by `bonus_weight` and `bonus_bins` of the settings.
+    Args:
+        space: of the observations.
+        weight: largest cost of a familiar cell, in units of return; 0 counts nothing.
+        bins: points to which a bounded component is rounded.
+        agent: its name, for messages.
 
     Raises:
         UnsupportedSpaceError: a weight above 0 and observations that cannot be binned, such as pictures.
@@ -51,12 +61,12 @@ class CountBonus(Stateful):
 
     STATE = (Columns({"counts": "_counts"}),)
 
-    def __init__(self, space: gymnasium.Space, settings: Any, agent: str) -> None:
-        self._weight = settings.bonus_weight
+    def __init__(self, space: gymnasium.Space, weight: float, bins: int, agent: str) -> None:
+        self._weight = weight
         self._counts: dict[bytes, int] = {}
         self._find_cell: Callable[[Any], NDArray[np.int32]] | None = None
         if self._weight:
-            self._find_cell = make_cell_finder(space, TabularSettings(bins=settings.bonus_bins), agent)
+            self._find_cell = make_cell_finder(space, ResolutionSettings(bins=bins), agent)
 
     def visit(self, observation: Any) -> float:
         """Count a visit of an observation's cell; returns the bonus, 0 or below, in units of return."""

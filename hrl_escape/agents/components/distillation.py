@@ -18,10 +18,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.bonuses import CountBonus
+from hrl_escape.agents.components.bonuses import Bonus, CountBonus
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
-from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.state import Kept
 
 FEATURES = 32
 """Outputs of the random network."""
@@ -33,7 +33,7 @@ CLIP = 5.0
 """Bound on whitened observations."""
 
 
-class DistillationBonus(Stateful):
+class DistillationBonus(Bonus):
     """Prediction error of a random network's outputs, and the bonus that it gives.
 
     Args:
@@ -120,14 +120,7 @@ class DistillationBonus(Stateful):
         self._batch = list(saved)
 
 
-def visit_streams(bonus: CountBonus | DistillationBonus, reached: torch.Tensor, settings: Any) -> torch.Tensor | None:
-    """Bonuses of the observations that streams reached, (n, ...), in units of return, (n,); None without a weight."""
-    if not settings.bonus_weight:
-        return None
-    return torch.from_numpy(bonus.visit_many(reached.cpu().numpy())).to(reached.device)
-
-
-def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> CountBonus | DistillationBonus:
+def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> Bonus:
     """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
 
     Raises:
@@ -135,4 +128,4 @@ def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> 
     """
     if settings.bonus_weight and settings.bonus == "distillation":
         return DistillationBonus(space, seed, settings.bonus_weight, settings, agent)
-    return CountBonus(space, settings, agent)
+    return CountBonus(space, settings.bonus_weight, settings.bonus_bins, agent)

@@ -7,6 +7,7 @@ expected SARSA needs them. Ornstein-Uhlenbeck noise for a continuous actor is at
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -17,9 +18,9 @@ from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class EpsilonSettings(AgentSettings):
-    """Schedule of epsilon, the share of random actions."""
+@dataclass(frozen=True, kw_only=True)
+class ExplorationSettings(AgentSettings):
+    """Exploration from action values."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
     """Epsilon at the beginning."""
@@ -27,12 +28,6 @@ class EpsilonSettings(AgentSettings):
     """Epsilon from `epsilon_steps` on."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
     """Steps of the clock over which epsilon falls linearly."""
-
-
-@dataclass(frozen=True)
-class ExplorationSettings(EpsilonSettings):
-    """Exploration from action values."""
-
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
     proportional to exp(q / temperature)."""
@@ -69,32 +64,53 @@ def choose_best(values: NDArray, mask: NDArray[np.bool_], rng: np.random.Generat
 def compute_epsilon(settings: Any, steps: int) -> float:
     """Epsilon after this many steps: linear from `epsilon_start` to `epsilon_end`, then constant.
 
-    It is 0 where noise in the weights explores. Settings here and below are any with the fields of `EpsilonSettings` or
-    `ExplorationSettings`.
+    Settings here and below are any with the fields of `ExplorationSettings`.
     """
-    if getattr(settings, "noise", 0.0):
-        return 0.0
     progress = min(steps / settings.epsilon_steps, 1.0)
     return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)
 
 
-def compute_policy(values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int) -> NDArray[np.float64]:
-    """Probabilities of the exploring policy, float64 (..., actions): rows sum to 1, illegal actions have exactly 0.
+def compute_exploration(values: Any, mask: Any, *, epsilon: float = 0.0, temperature: float = 0.0, clip: float = 0.0
+                        ) -> Any:
+    """Probabilities of an exploring policy, (..., actions): rows sum to 1, illegal actions have exactly 0.
 
-    Values are (..., actions), in units of return; the mask has at least one true in each row; `steps` are on the clock.
+    Args:
+        values: arrays or tensors (..., actions), in units of return.
+        mask: bool (..., actions), with at least one true in each row.
+        epsilon: share of actions drawn evenly; the others are the best. Ignored with a temperature.
+        temperature: above 0 probabilities are proportional to exp(value / temperature).
+        clip: bound on the size of value / temperature; 0 sets none.
     """
-    legal_values = mask_values(np.asarray(values, dtype=np.float64), mask)
-    if settings.exploration == "boltzmann":
-        scaled = legal_values / settings.temperature
-        if settings.boltzmann_clip:
-            scaled = np.clip(scaled, -settings.boltzmann_clip, settings.boltzmann_clip)
-        weights = np.where(mask, np.exp(scaled - scaled.max(axis=-1, keepdims=True)), 0.0)
-        return weights / weights.sum(axis=-1, keepdims=True)
-    epsilon = compute_epsilon(settings, steps)
-    policy = epsilon * mask / mask.sum(axis=-1, keepdims=True)
-    best = legal_values.argmax(axis=-1)[..., None]
-    np.put_along_axis(policy, best, np.take_along_axis(policy, best, axis=-1) + (1 - epsilon), axis=-1)
-    return policy
+    library: Any = np if isinstance(values, np.ndarray) else sys.modules["torch"]
+    legal = library.where(mask, values, -np.inf)
+    if temperature:
+        scaled = legal / temperature
+        if clip:
+            scaled = library.clip(scaled, -clip, clip)
+        weights = library.where(mask, library.exp(scaled - library.amax(scaled, -1)[..., None]), 0.0)
+        return weights / weights.sum(-1)[..., None]
+    columns = library.arange(values.shape[-1], device=values.device)
+    is_best = columns == legal.argmax(-1)[..., None]
+    return epsilon * mask / mask.sum(-1)[..., None] + (1.0 - epsilon) * is_best
+
+
+def measure_conduct(policy: Any, values: Any, mask: Any, action: Any) -> dict[str, float]:
+    """Entropy of exploring policies in nats, and share of greedy choices, to log; means over the rows.
+
+    Policies, values and masks are (n, actions), actions (n,), arrays or tensors.
+    """
+    library: Any = np if isinstance(values, np.ndarray) else sys.modules["torch"]
+    entropy = -(policy * library.log(library.where(policy > 0, policy, 1.0))).sum(-1)
+    best = library.amax(library.where(mask, values, -np.inf), -1)
+    greedy = values[library.arange(len(values), device=values.device), action] >= best
+    return {"entropy": float(entropy.sum()) / len(values), "greedy": float(greedy.sum()) / len(values)}
+
+
+def compute_policy(values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int) -> NDArray[np.float64]:
+    """Probabilities of the exploring policy of settings with `steps` on the clock; see `compute_exploration`."""
+    temperature = settings.temperature if settings.exploration == "boltzmann" else 0.0
+    return compute_exploration(np.asarray(values, np.float64), mask, epsilon=compute_epsilon(settings, steps),
+                               temperature=temperature, clip=settings.boltzmann_clip)
 
 
 def compute_epsilon_greedy(values: NDArray, epsilon: float) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ before which it was achieved already is left out: an episode that asked for it w
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import GoalRule, SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
-from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.components.replay import Experience, make_batch
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 
@@ -40,7 +41,17 @@ class _Decision(NamedTuple):
     bonus: float  # in its reward
 
 
-class HindsightReplay(Stateful):
+class Hindsight(Stateful):
+    """No decision is stored again."""
+
+    STATE: ClassVar[tuple[Any, ...]] = ()
+
+    def push(self, batch: Decisions, experience: Experience, bonus: Any) -> list[Experience]:
+        """Take in decisions; returns no backups."""
+        return []
+
+
+class HindsightReplay(Hindsight):
     """The episode so far, and its backups under goals that it achieved, of which some are drawn for each decision.
 
     Raises:
@@ -67,12 +78,16 @@ class HindsightReplay(Stateful):
         self._episode: list[_Decision] = []
         self._known: dict[tuple[bytes, bytes], _Judgement] = {}  # of this episode's pairs of goals
 
-    def push(self, transition: SMDPTransition, experience: Experience, bonus: float) -> list[Experience]:
+    def push(self, batch: Decisions, experience: Experience, bonus: Any) -> list[Experience]:
         """Take in one decision, its backup and the bonus in it; returns backups under new goals at the episode's end.
 
         Raises:
             StepContractError: the decision ran several primitives, so that nobody knows what was achieved inside.
         """
+        shared = [name for name in SMDPTransition._fields if name in Decisions._fields and name != "trace"]
+        row: dict[str, Any] = {name: getattr(batch, name)[0] for name in shared}
+        transition = SMDPTransition(**row)
+        experience, bonus = Experience(*(field[0] for field in experience)), float(np.ravel(bonus)[0])
         if transition.duration != 1:
             raise StepContractError(f"action {transition.action} ran {transition.duration} primitives; hindsight_goals "
                                     "are for decisions of one primitive: leave options out, or set them to 0")
@@ -85,7 +100,7 @@ class HindsightReplay(Stateful):
         relabelled = list(self._relabel())
         self._episode.clear()
         self._known.clear()
-        return relabelled
+        return [make_batch(each) for each in relabelled]
 
     def _relabel(self) -> Iterator[Experience]:
         """Each decision with goals achieved at it or later in the episode."""

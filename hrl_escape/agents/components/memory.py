@@ -8,12 +8,18 @@ decisions, which begin in the state that was there when they were lived.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.networks import Network, ObservationEncoder
+from hrl_escape.agents.components.policy_gradient import draw_minibatches
+from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.spaces import ObjectsBox
 
@@ -41,19 +47,94 @@ class GatedCell(nn.Module):
         return self.cell(inputs, state.reshape(-1, self._units)).view(len(given), self._rows * self._units)
 
 
-class Memory(NamedTuple):
-    """A recurrent memory of encoded observations."""
+class Memory:
+    """What networks are given beside the observation. This one keeps nothing: `size` is 0.
 
-    network: Network  # of one `GatedCell`
-    size: int  # numbers in a state
+    Attributes:
+        size: numbers in the state of an episode.
+    """
+
+    size: int = 0
+
+    @property
+    def networks(self) -> dict[str, Network]:
+        """Networks that are learned, by name."""
+        return {}
 
     def read(self, observation: Tensor, state: Tensor) -> Tensor:
-        """Remember an observation; returns it with the new state behind it, (n, numbers + size)."""
+        """Inputs of the networks, (n, numbers + size), from encoded observations and the states before them."""
+        return observation
+
+    def evaluate(self, observation: Any, state: Any) -> Any:
+        """Return `read` without gradients; arrays give arrays."""
+        return observation
+
+    def get_state(self, read: Any) -> Any:
+        """The states in the result of `read`, (n, size)."""
+        return read[:, :0]
+
+    def recall(self, encoded: NDArray) -> NDArray:
+        """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""
+        return encoded
+
+    def draw_batches(self, rollout: Any, size: int, rng: np.random.Generator, epochs: int
+                     ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Shuffle a rollout in every epoch and cut it; yields about `size` rows and the networks' inputs there."""
+        for rows in draw_minibatches(rng, len(rollout.place), size, epochs):
+            rows = rows.to(rollout.place.device)
+            yield rows, rollout.observation[rows]
+
+
+class GatedMemory(Memory):
+    """A gated recurrent unit over encoded observations.
+
+    Args:
+        network: of one `GatedCell`.
+        size: numbers in a state.
+        span: most decisions through which a gradient goes back.
+    """
+
+    def __init__(self, network: Network, size: int, span: int) -> None:
+        self.network, self.size, self._span = network, size, span
+        self._latest: NDArray | None = None
+
+    @property
+    def networks(self) -> dict[str, Network]:
+        """Networks that are learned, by name."""
+        return {"memory": self.network}
+
+    def read(self, observation: Tensor, state: Tensor) -> Tensor:
+        """Remember observations; the new states come behind them, (n, numbers + size)."""
         return torch.cat([observation, self.network(torch.cat([observation, state], dim=1))], dim=1)
 
-    def get_state(self, read: Tensor) -> Tensor:
+    def evaluate(self, observation: Any, state: Any) -> Any:
+        """Return `read` without gradients; arrays give arrays."""
+        with torch.no_grad():
+            if not isinstance(observation, np.ndarray):
+                return self.read(observation, state)
+            both = (torch.from_numpy(part).to(self.network.weights.device) for part in (observation, state))
+            seen = self.read(*both).cpu().numpy()
+            self._latest = seen[0]
+            return seen
+
+    def get_state(self, read: Any) -> Any:
         """The states in the result of `read`, (n, size)."""
         return read[:, -self.size :]
+
+    def recall(self, encoded: NDArray) -> NDArray:
+        """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""
+        if self._latest is not None and np.array_equal(self._latest[: len(encoded)], encoded):
+            return self._latest
+        return self.evaluate(encoded[None], np.zeros((1, self.size), np.float32))[0]
+
+    def draw_batches(self, rollout: Any, size: int, rng: np.random.Generator, epochs: int
+                     ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Shuffle stretches of a rollout in every epoch; gradients of the inputs go back through a stretch."""
+        stretches = cut_stretches(rollout.stream, rollout.place, self._span)
+        total, units = len(rollout.place), stretches.grid.shape[1]
+        for columns in draw_minibatches(rng, units, max(1, size * units // total), epochs):
+            part = stretches.pick(columns.to(rollout.place.device))
+            yield part.rows, self.read_stretches(rollout.observation, rollout.memory, rollout.over, part)
 
     def read_stretches(self, observation: Tensor, state: Tensor, over: Tensor, stretches: Stretches) -> Tensor:
         """Live through k decisions in stretches again; returns `read` of them, in the order of `stretches.rows`.
@@ -70,6 +151,37 @@ class Memory(NamedTuple):
             found.append(seen)
             now = torch.where(over[rows, None], 0.0, self.get_state(seen))
         return torch.stack(found)[stretches.is_real]
+
+
+class Recollections(Stateful):
+    """States of a memory in the running episodes, by environment.
+
+    Attributes:
+        now: (environments, size), the present states; 0 before an episode's first decision.
+        before: those before the latest decision.
+    """
+
+    STATE = ("now", "before")
+
+    def __init__(self, memory: Memory, num_envs: int, arrays: Arrays) -> None:
+        self._memory = memory
+        self.now, self.before = (arrays.zeros((num_envs, memory.size)) for _ in range(2))
+
+    def see(self, env: Any, observation: Any) -> Any:
+        """Remember encoded observations of some environments; returns the networks' inputs."""
+        before = self.now[env]
+        seen = self._memory.evaluate(observation, before)
+        self.before[env], self.now[env] = before, self._memory.get_state(seen)
+        return seen
+
+    def end(self, env: Any, over: Any) -> Any:
+        """States before decisions that ended, (n, size); where the episode is `over`, bool (n,), it is forgotten."""
+        self.now[env[over]] = 0.0
+        return self.before[env]
+
+    def begin_episodes(self) -> None:
+        """Forget all episodes."""
+        self.now[:] = 0.0
 
 
 class Stretches(NamedTuple):
@@ -101,15 +213,23 @@ def cut_stretches(stream: Tensor, place: Tensor, span: int) -> Stretches:
     return Stretches(grid, is_real)
 
 
-def make_memory(encoder: ObservationEncoder, settings: Any, by_objects: bool, generator: torch.Generator
-                ) -> Memory | None:
-    """Make the memory that settings ask for, if any; `by_objects` gives each row of objects a state of its own.
+def make_memory(encoder: ObservationEncoder, kind: str, units: int, span: int, by_objects: bool,
+                generator: torch.Generator) -> Memory:
+    """Make a memory.
+
+    Args:
+        encoder: of the observations.
+        kind: `none` or `gru`.
+        units: size of the state.
+        span: most decisions through which a gradient goes back.
+        by_objects: each row of objects has a state of its own.
+        generator: of the weights.
 
     Raises:
         UnsupportedSpaceError: a memory of pictures.
     """
-    if settings.memory == "none":
-        return None
+    if kind == "none":
+        return Memory()
     if encoder.is_image:
         raise UnsupportedSpaceError("memory=gru remembers vectors, not pictures: make the environment with another "
                                     "observation")
@@ -117,5 +237,4 @@ def make_memory(encoder: ObservationEncoder, settings: Any, by_objects: bool, ge
     rows, words = 1, numbers
     if by_objects and isinstance(encoder.space, ObjectsBox):
         rows, words = len(encoder.space.rows), len(encoder.space.words)
-    cell = GatedCell(numbers, rows, words, settings.memory_units, generator)
-    return Memory(Network(cell), rows * settings.memory_units)
+    return GatedMemory(Network(GatedCell(numbers, rows, words, units, generator)), rows * units, span)

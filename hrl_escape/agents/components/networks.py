@@ -20,8 +20,7 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterable, Mapping
 from copy import deepcopy
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeGuard
+from typing import Any, TypeGuard
 
 import gymnasium
 import numpy as np
@@ -32,10 +31,9 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
-from hrl_escape.agents.agent import AgentSettings, count_actions
+from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, DivergenceError, UnsupportedSpaceError
-from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
 BLOCK_ROWS = 4096
@@ -46,27 +44,6 @@ WILD_LOSS = 1e6
 """Loss beyond which values have diverged: in scaled rewards, where losses are a few hundred at most."""
 WILD_GROWTH, GROWTH_EVERY = 100.0, 50
 """Growth of the weights' norm beyond which steps are too long, and updates between two looks at it."""
-
-
-@dataclass(frozen=True)
-class NetworkSettings(AgentSettings):
-    """Settings that deep agents have in common."""
-
-    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
-    """Units of each hidden layer."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
-    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
-    scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
-    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
 
 
 class ObservationEncoder:
@@ -135,6 +112,14 @@ class ObservationEncoder:
         """An encoded observation with another desired goal, a copy."""
         vector = self._parts["desired_goal"].encode(goal)
         return np.concatenate([encoded[: -len(vector)], vector])
+
+    def encode_batch(self, observation: Any) -> Any:
+        """Encode n observations, (n, *shape): a tensor on its device, a sequence of any other space as an array."""
+        if isinstance(observation, torch.Tensor):
+            return self.encode_many(observation)
+        if len(observation) == 1:
+            return self.encode(observation[0])[None]
+        return np.stack([self.encode(each) for each in observation])
 
     def encode_many(self, observation: torch.Tensor) -> torch.Tensor:
         """Encode a batch of observations on its device, (n, ...) to (n, *shape).
@@ -292,6 +277,15 @@ class Network(nn.Sequential):
             self._compute = _make_forward(self)
         return self._compute(observation)
 
+    def evaluate(self, observation: Any) -> Any:
+        """Outputs for encoded observations, (n, outputs) from (n, ...), without gradients; arrays give arrays."""
+        if isinstance(observation, np.ndarray):
+            if len(observation) == 1:
+                return self.compute(observation[0])[None]
+            return self.evaluate(torch.from_numpy(observation).to(self.weights.device)).cpu().numpy()
+        with torch.no_grad():
+            return self(observation)
+
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         """Outputs, (n, outputs) from (n, inputs); those of many rows through a perceptron block by block."""
         if len(input) <= BLOCK_ROWS or input.device.type != "cpu" or not self._is_perceptron:
@@ -421,7 +415,7 @@ def _make_convolutions(shape: tuple[int, ...], initialisation: str, generator: t
 
 
 def initialise_layer(layer: Any, initialisation: str, gain: float, generator: torch.Generator) -> Any:
-    """Draw a layer's initial weights, see `NetworkSettings.initialisation`; returns the layer."""
+    """Draw a layer's initial weights, see `initialisation` of `DQNSettings`; returns the layer."""
     if initialisation == "glorot":
         nn.init.xavier_uniform_(layer.weight, generator=generator)
     elif initialisation == "orthogonal":

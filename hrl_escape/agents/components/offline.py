@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, AgentSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import (
     Learner,
@@ -30,8 +30,8 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_state_network,
 )
-from hrl_escape.agents.components.replay import Experience, ReplaySettings
-from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
+from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.components.tables import make_cell_finder
 from hrl_escape.agents.state import Kept, pack_keys, unpack_keys
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.settings import Range
@@ -43,7 +43,7 @@ FEW_STATES = 0.1
 """States for each decision of the data up to which `values=auto` is a table."""
 
 
-class Decisions(NamedTuple):
+class RecordedDecisions(NamedTuple):
     """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row a decision."""
 
     observation: Any  # at each decision, (n, ...)
@@ -68,16 +68,16 @@ class Primitives(NamedTuple):
     action: NDArray[np.int64]  # int64 (n,)
     reward: NDArray[np.float64]  # float64 (n,)
     next_observation: Any  # after it, (n, ...)
-    terminated: NDArray[np.bool_]  # as in `Decisions`
+    terminated: NDArray[np.bool_]  # as in `RecordedDecisions`
     last: NDArray[np.bool_]  # likewise
     trajectory: NDArray[np.int64]  # likewise
     option: NDArray[np.int64]  # action of the decision that it belongs to, int64 (n,)
     begins: NDArray[np.bool_]  # it is the decision's first, bool (n,)
 
-    def as_decisions(self, gamma: float, actions: int) -> Decisions:
+    def as_decisions(self, gamma: float, actions: int) -> RecordedDecisions:
         """The same as decisions of one primitive each."""
         ones, legal = np.ones_like(self.action), np.ones((len(self.action), actions), np.bool_)
-        return Decisions(self.observation, self.action, legal, self.reward, self.reward, ones,
+        return RecordedDecisions(self.observation, self.action, legal, self.reward, self.reward, ones,
                          np.full(len(ones), gamma, np.float64),
                          self.next_observation, legal, self.terminated, self.last, self.trajectory, 0 * ones)
 
@@ -96,7 +96,7 @@ class OfflineData(Protocol):
         """Name, content hash and observation, part of a run's identity."""
         ...
 
-    def read_decisions(self, gamma: float) -> Decisions:
+    def read_decisions(self, gamma: float) -> RecordedDecisions:
         """All decisions, in memory."""
         ...
 
@@ -109,10 +109,60 @@ class OfflineData(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class OfflineSettings(ReplaySettings, ResolutionSettings):
+@dataclass(frozen=True, kw_only=True)
+class OfflineSettings(AgentSettings):
     """Settings that agents have in common that learn from a data set."""
 
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive; per decision if `discounting` is `decision`."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
+    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    bootstrap_on_truncation: bool = True
+    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
+    the paper's agents."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
+    the same work on the same experience."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; Keras has 1e-7."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
+    batch_size: Annotated[int, Range(1)] = 256
+    """Decisions in an update."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Steps of the clock before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates from replay for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
+    stream_updates: Annotated[int, Range(1)] = 16
+    """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
+    learned from as often; much fewer and larger ones learn less, as the target network follows updates."""
+    stream_replay: Annotated[int, Range(1)] = 128
+    """Decisions of each stream, on average, for which replay has room at least."""
     passes: Annotated[int, Range(1)] = 50
     """Passes over the data, where `train` is given no budget."""
     values: Literal["auto", "table", "network"] = "auto"
@@ -120,7 +170,6 @@ class OfflineSettings(ReplaySettings, ResolutionSettings):
     times or more, on average, and the observation has no rows of objects, which networks carry to other rooms."""
     network: Literal["mlp", "objects"] = "objects"
     """`objects`: deep sets over rows of objects; `mlp`: a perceptron, also where the observation has no rows."""
-    batch_size: Annotated[int, Range(1)] = 256
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
     """Share of a network blended into its target at each update."""
 
@@ -140,7 +189,7 @@ class DecisionTable:
         worst: value of a state at which the data shows no decision: least reward a primitive, for ever.
     """
 
-    def __init__(self, state: NDArray, next_state: NDArray, data: Decisions, states: int, actions: int,
+    def __init__(self, state: NDArray, next_state: NDArray, data: RecordedDecisions, states: int, actions: int,
                  rewards: NDArray, discounts: NDArray) -> None:
         self.shape = states, actions
         self._pair, self._next = state * actions + data.action, next_state
@@ -159,7 +208,7 @@ class DecisionTable:
         return np.where(self.shown, sums / np.maximum(self.counts, 1.0), self.worst)
 
 
-def list_best(data: Decisions, share: float) -> NDArray[np.bool_]:
+def list_best(data: RecordedDecisions, share: float) -> NDArray[np.bool_]:
     """Decisions of the best share of trajectories by plain return, bool (n,); of those not cut, if there are any."""
     if share >= 1.0:
         return np.ones(len(data.action), np.bool_)
@@ -222,7 +271,7 @@ class OfflineAgent(Agent):
 
     # --- learning ------------------------------------------------------------------------
 
-    def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
+    def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
         """Take the data, and for agents of both the primitives in it; `AgentSettingsError` where it holds nothing."""
         del primitives
         if not len(data.action):

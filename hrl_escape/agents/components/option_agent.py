@@ -6,31 +6,19 @@ import math
 import warnings
 from abc import abstractmethod
 from collections import deque
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, LearningSettings, MarkovRun, OptionPolicy, RunningCall
+from hrl_escape.agents.agent import Agent, MarkovRun, OptionPolicy, RunningCall
 from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.state import Kept, Stateful
-from hrl_escape.settings import Range
 
 WINDOW = 500
 """Runs of options that the measurements cover."""
 SHORTEST, LOWEST_ENTROPY = 1.1, 0.05
 """Mean decisions of a run, and share of the largest entropy, below which options have collapsed."""
-
-
-@dataclass(frozen=True)
-class OptionSettings(LearningSettings):
-    """Number of options that are learned, and their terminations before that."""
-
-    options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
-    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
 
 
 class OptionAgent(Agent):

@@ -7,8 +7,7 @@ that say their stream and their place in it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -17,53 +16,10 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
-from hrl_escape.agents.components.networks import BLOCK_ROWS, NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.networks import BLOCK_ROWS, ObservationEncoder
+from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
-from hrl_escape.settings import Range
-
-
-@dataclass(frozen=True)
-class PolicySettings(NetworkSettings):
-    """Networks of policies and critics, and steps down the sum of their losses."""
-
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
-    max_grad_norm: Annotated[float, Range(0)] = 0.5
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value error in the loss."""
-
-
-@dataclass(frozen=True)
-class AdvantageSettings(PolicySettings):
-    """Generalised advantage estimation."""
-
-    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
-
-
-@dataclass(frozen=True)
-class ClippedSettings(AdvantageSettings):
-    """Rounds of updates with the clipped objective from rollouts of decisions."""
-
-    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
-    epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in a minibatch of a rollout of `rollout` decisions."""
-    clip: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Bound on how far the probability ratio may move to any advantage."""
-    normalise_advantages: bool = True
-    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
-    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
 
 
 class Rollout(NamedTuple):
@@ -81,6 +37,78 @@ class Rollout(NamedTuple):
     memory: Tensor  # float32 (n, numbers), recurrent state before the decision; no numbers where there is none
     stream: Tensor  # int64 (n,)
     place: Tensor  # int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap
+
+
+class RolloutBuffer(Stateful):
+    """Decisions that are collected for the next updates, of one environment or many.
+
+    Attributes:
+        log_probability: (environments,), of each environment's latest choice under the policy that made it.
+    """
+
+    STATE = (Kept("_rows", "rows", unpack=dict), "log_probability")
+
+    def __init__(self, arrays: Arrays, num_envs: int) -> None:
+        self._arrays, self._num_envs = arrays, num_envs
+        self.log_probability = arrays.zeros((num_envs,))
+        self._parts: list[tuple[Any, ...]] = []
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, *fields: Any) -> None:
+        """Take in decisions: the fields of `Rollout` but for the place, arrays or tensors (n, ...)."""
+        self._parts.append(fields)
+        self._count += len(fields[-1])
+
+    def note_choice(self, env: Any, log_probability: Any) -> None:
+        """Note choices of some environments, int64 (n,), with their log probabilities, (n,)."""
+        self.log_probability[env] = log_probability
+
+    def gather(self) -> Rollout:
+        """Everything that was collected, as tensors."""
+        fields = [self._arrays.join(parts) for parts in zip(*self._parts, strict=True)]
+        place = count_places(fields[-1])
+        rollout = Rollout(*fields, place=place)
+        return rollout._replace(**{name: getattr(rollout, name).float() for name in ("reward", "bootstrap")})
+
+    def take(self) -> Rollout:
+        """Return what was collected, and begin the next rollout."""
+        rollout = self.gather()
+        self._parts, self._count = [], 0
+        return rollout
+
+    def truncate(self) -> None:
+        """End the episode of every environment with its latest decision here."""
+        if self._count:
+            rollout = self.gather()
+            last = torch.zeros(self._num_envs, dtype=torch.int64, device=rollout.place.device)
+            last = last.scatter_reduce(0, rollout.stream, rollout.place, "amax")
+            over = rollout.over | (rollout.place == last[rollout.stream])
+            self._parts = [tuple(map(self._arrays.restore, (
+                field.cpu().numpy() for field in rollout._replace(over=over)[:-1])))]
+
+    @property
+    def _rows(self) -> dict[str, Tensor] | None:
+        """Fields of what was collected; None where that is nothing."""
+        return self.gather()._asdict() if self._count else None
+
+    @_rows.setter
+    def _rows(self, saved: Mapping[str, Any] | None) -> None:
+        self._parts, self._count = [], 0
+        if saved is not None:
+            self.add(*(self._arrays.restore(saved[name]) for name in Rollout._fields[:-1]))
+
+
+def count_places(stream: Tensor) -> Tensor:
+    """Place of each row among those of its stream, in order, int64 (n,) from int64 (n,)."""
+    order = torch.argsort(stream, stable=True)
+    sizes = torch.bincount(stream)
+    begins = (sizes.cumsum(0) - sizes)[stream[order]]
+    place = torch.empty_like(order)
+    place[order] = torch.arange(len(order), device=order.device) - begins
+    return place
 
 
 def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,
@@ -170,16 +198,22 @@ def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tens
     return values[after].index_copy(0, last, critic(rollout.next_observation[last]))
 
 
-def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:
-    """Log probabilities of the softmax over legal actions, -inf elsewhere. Shapes (batch, actions)."""
+def compute_log_policy(logits: Any, mask: Any) -> Any:
+    """Log probabilities of the softmax over legal actions, -inf elsewhere; arrays or tensors (batch, actions)."""
+    if isinstance(logits, np.ndarray):
+        legal = np.where(mask, logits, -np.inf)
+        legal = legal - legal.max(axis=1, keepdims=True)
+        return legal - np.log(np.exp(legal).sum(axis=1, keepdims=True))
     legal = logits.masked_fill(~mask, -torch.inf)
     if len(legal) < BLOCK_ROWS:
         return functional.log_softmax(legal, dim=1)
     return functional.log_softmax(legal.t().contiguous(), dim=0).t()  # row by row it takes six times as long
 
 
-def take_column(rows: Tensor, column: Tensor) -> Tensor:
-    """One entry of each row, (n,) from (n, columns) and int64 (n,)."""
+def take_column(rows: Any, column: Any) -> Any:
+    """One entry of each row, (n,) from (n, columns) and int64 (n,); arrays or tensors."""
+    if isinstance(rows, np.ndarray):
+        return rows[np.arange(len(rows)), column]
     return rows.gather(1, column[:, None]).squeeze(1)
 
 

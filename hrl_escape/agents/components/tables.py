@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import (
     Agent,
     AgentSettings,
-    LearningSettings,
     SMDPTransition,
     compute_backup,
     count_actions,
     count_steps,
 )
 from hrl_escape.agents.components.exploration import (
-    ExplorationSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -47,10 +45,29 @@ class ResolutionSettings(AgentSettings):
     """A component without bounds is rounded to multiples of this, in its own unit."""
 
 
-@dataclass(frozen=True)
-class TabularSettings(ResolutionSettings, ExplorationSettings):
+@dataclass(frozen=True, kw_only=True)
+class TabularSettings(AgentSettings):
     """Resolution of states, learning rates of the table, and exploration from it."""
 
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
+    proportional to exp(q / temperature)."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
+    likely. 0 sets no bound."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
     """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
@@ -59,13 +76,13 @@ class TabularSettings(ResolutionSettings, ExplorationSettings):
     """Value of actions that were never tried, in units of return."""
 
 
-def make_discretiser(space: gymnasium.Space, settings: ResolutionSettings, agent: str) -> Callable[[Any], bytes]:
+def make_discretiser(space: gymnasium.Space, settings: Any, agent: str) -> Callable[[Any], bytes]:
     """A function from observations to table keys: bytes of int32 cells; see `make_cell_finder`."""
     find_cell = make_cell_finder(space, settings, agent)
     return lambda observation: find_cell(observation).tobytes()
 
 
-def make_cell_finder(space: gymnasium.Space, settings: ResolutionSettings, agent: str
+def make_cell_finder(space: gymnasium.Space, settings: Any, agent: str
                      ) -> Callable[[Any], NDArray[np.int32]]:
     """A function from observations, one or a batch of them, to int32 cells of the same shape.
 
@@ -92,7 +109,7 @@ class QTable(Stateful):
 
     STATE = (Columns({"values": "_values", "counts": "_counts"}),)
 
-    def __init__(self, actions: int, settings: TabularSettings) -> None:
+    def __init__(self, actions: int, settings: Any) -> None:
         self._actions, self._settings = actions, settings
         self._values: dict[bytes, NDArray[np.float64]] = {}
         self._counts: dict[bytes, NDArray[np.int64]] = {}
@@ -160,11 +177,6 @@ class ValueTable(Stateful):
         return target - value
 
 
-@dataclass(frozen=True)
-class TabularAgentSettings(TabularSettings, LearningSettings):
-    """Settings of agents with a table of action values."""
-
-
 class TabularAgent(Agent):
     """Base of agents that learn Q(s, o) in a table, by the SMDP backup of one decision.
 
@@ -175,7 +187,7 @@ class TabularAgent(Agent):
     STATE = ("table", "_steps", "_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: TabularAgentSettings | None = None) -> None:
+                 settings: Any = None) -> None:
         self.settings = settings or self.Settings()
         self.table = QTable(count_actions(action_space, self.name), self.settings)
         self._discretise = make_discretiser(observation_space, self.settings, self.name)

@@ -11,8 +11,7 @@ import logging
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -27,13 +26,12 @@ from torchrl.modules import MLP, MaskedCategorical, ProbabilisticActor
 from torchrl.objectives import LossModule
 from torchrl.objectives.utils import TargetNetUpdater
 
-from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import ObservationEncoder, make_generator
 from hrl_escape.agents.components.replay import UpdateSchedule
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DivergenceError
-from hrl_escape.settings import Range
 
 ILLEGAL = -1e6
 """Logit of an illegal action: its probability is exactly 0, and 0 times its logarithm is 0, where minus infinity would
@@ -41,24 +39,6 @@ make `DiscreteSACLoss` NaN."""
 PARAMETERS: Any = {"logits": "logits", "mask": "action_mask"}
 """Keys of a distribution's parameters: a mapping, which TorchRL takes and does not declare."""
 logging.getLogger("torchrl").setLevel(logging.WARNING)  # or it tells of every replay buffer
-
-
-@dataclass(frozen=True)
-class TorchRLSettings(DiscountSettings):
-    """Settings that the agents made of TorchRL's parts have in common."""
-
-    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
-    """Units of each hidden layer."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
-    """Gradients are scaled down to this Euclidean norm."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in an update."""
-    scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
-    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; logged values stay in units of return."""
 
 
 class TorchRLAgent(Agent):
@@ -179,18 +159,6 @@ class TorchRLAgent(Agent):
                 state.setdefault(int(index), {})[name] = torch.from_numpy(np.array(value))
         self._adam.load_state_dict({**self._adam.state_dict(), "state": state})
         self._updates = int(saved["updates"])
-
-
-@dataclass(frozen=True)
-class TorchRLReplaySettings(TorchRLSettings):
-    """Those of agents with replay."""
-
-    replay_capacity: Annotated[int, Range(1)] = 50_000
-    """Decisions kept for replay."""
-    warmup: Annotated[int, Range(0)] = 500
-    """Primitives before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
 
 
 class TorchRLReplayAgent(TorchRLAgent):

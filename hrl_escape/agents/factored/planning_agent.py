@@ -16,14 +16,13 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.factored.search import (
@@ -40,7 +39,6 @@ from hrl_escape.agents.factored.search import (
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 from hrl_escape.agents.state import Kept, Stateful, StateTree, pack_columns, unpack_columns
 from hrl_escape.errors import UnsupportedSpaceError
-from hrl_escape.settings import Range
 
 NEAR = 0.15
 """A pose belongs to a place within this share of the distance that poses are apart on average."""
@@ -405,19 +403,6 @@ class FactoredModel:
 # --- agents -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class PlanningSettings(DiscountSettings):
-    """Hypotheses that are considered, and the bound of the search."""
-
-    max_parents: Annotated[int, Range(0, 8)] = 2
-    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
-    conditions: Literal["all-on", "any"] = "all-on"
-    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
-    (wherever every factor is a bit). `any`: each combination of their values."""
-    most_nodes: Annotated[int, Range(1)] = 20_000
-    """States that a search may expand; what it has not found by then it takes to be out of reach."""
-
-
 class PlanningAgent(Agent):
     """Base of agents that follow plans in a learned factored model.
 
@@ -428,7 +413,7 @@ class PlanningAgent(Agent):
     STATE = ("model", "_pending", Kept("_is_exploring", "exploring"), "_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: PlanningSettings | None) -> None:
+                 settings: Any) -> None:
         self.settings = settings or self.Settings()
         actions = count_actions(action_space, self.name)
         self.model = FactoredModel(observation_space, actions, self.gamma, self.settings.max_parents,

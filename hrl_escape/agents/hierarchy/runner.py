@@ -14,14 +14,15 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, DiscountSettings, OptionPolicy, RunningCall, SMDPTransition
+from hrl_escape.agents.agent import Agent, AgentSettings, OptionPolicy, RunningCall, SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_action
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.hierarchy.task import (
     BaseTask,
     Frame,
@@ -35,18 +36,22 @@ from hrl_escape.agents.hierarchy.task import (
     load_stack,
     save_stack,
 )
+from hrl_escape.agents.seam import MANY, serve_many, serve_one
 from hrl_escape.agents.state import Kept, StateTree
-from hrl_escape.agents.streams import RowStreamAgent, StreamAgent, StreamTransitions
+from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedError
+from hrl_escape.settings import Range
 
 if TYPE_CHECKING:
     import torch
 
 
-@dataclass(frozen=True)
-class StackSettings(DiscountSettings):
+@dataclass(frozen=True, kw_only=True)
+class StackSettings(AgentSettings):
     """Settings of how calls run."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     polled: Literal["never", "evaluation", "always"] = "never"
     """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
@@ -320,10 +325,10 @@ class StackAgent(CallRunner):
         """Every learner has as many streams for each of its tasks; `AgentSettingsError` for one that can have none."""
         super().begin_streams(count, device)
         for name, learner in self._owned.items():
-            if not isinstance(learner, StreamAgent):
+            if not isinstance(learner, MANY):
                 raise AgentSettingsError(f"learner of task {name}", type(learner).__name__,
                                          "one that learns from many environments at once")
-            learner.begin_streams(count * len(self._list_tasks(learner)), device)
+            serve_many(learner).begin_episodes(count * len(self._list_tasks(learner)), device)
 
     def _list_tasks(self, learner: Agent) -> list[str]:
         return [name for name, each in self.learners.items() if each is learner]
@@ -349,9 +354,9 @@ class StackAgent(CallRunner):
         if learner is None:
             return task.decide(seen, context, self._rng)
         if self._stream is None:
-            return learner.act(view, legal)
-        assert isinstance(learner, StreamAgent)
-        return int(learner.act_streams(_make_row(view), _make_row(legal), self._find_stream(stack, learner)))
+            return serve_one(learner).act(view, legal)
+        return int(serve_many(learner).act(Moments(self._find_stream(stack, learner), _make_row(view),
+                                                   _make_row(legal))))
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
@@ -377,13 +382,12 @@ class StackAgent(CallRunner):
     def _teach(self, learner: Agent, returned: Return) -> Mapping[str, float]:
         one = make_task_transition(returned)
         if self._stream is None:
-            return learner.observe(one)
-        assert isinstance(learner, StreamAgent)
-        reward, summed = np.float32(one.reward), np.float32(one.summed_reward)
-        rows = (one.observation, one.action, reward, summed, one.duration, one.next_observation, one.next_action_mask,
-                one.terminated, one.truncated)
-        return learner.observe_streams(StreamTransitions(self._find_stream(returned.stack, learner),
-                                                         *map(_make_row, rows)))
+            return serve_one(learner).observe(one)
+        reward, summed, discount = map(np.float32, (one.reward, one.summed_reward, one.discount))
+        rows = (one.observation, one.action_mask, one.action, reward, summed, one.duration, discount,
+                one.next_observation, one.next_action_mask, one.terminated, one.truncated)
+        fields: Any = map(_make_row, rows)
+        return serve_many(learner).observe(Decisions(self._find_stream(returned.stack, learner), *fields))
 
     def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:
         """Learners hear of the decisions that they made."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
+from hrl_escape.agents.agent import compute_backup
 from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.state import Kept, Stateful
 
 
@@ -25,19 +27,19 @@ class LateTerminal(Stateful):
     def __init__(self) -> None:
         self._waiting: Experience | None = None
 
-    def push(self, experience: Experience, transition: SMDPTransition, settings: LearningSettings
-             ) -> list[tuple[Experience, int | None]]:
-        """Take in a decision and its backup; returns what is to be learned now.
+    def push(self, experience: Experience, batch: Decisions, settings: Any) -> list[tuple[Experience, int | None]]:
+        """Take in one decision and its backup, both as batches; returns what is to be learned now.
 
         That are pairs of an experience and the action to bootstrap from; None where no action was taken there.
         """
-        is_over = transition.terminated or transition.truncated
-        _, factor = compute_backup(transition._replace(terminated=False, truncated=False), settings)
+        no, is_over = np.zeros(1, np.bool_), bool(batch.terminated[0] or batch.truncated[0])
+        _, factor = compute_backup(batch._replace(terminated=no, truncated=no), settings)
         due: list[tuple[Experience, int | None]] = []
         if self._waiting is not None:
-            ended = is_over and experience.bootstrap == 0
-            due.append((self._waiting._replace(bootstrap=0.0) if ended else self._waiting, transition.action))
-        without_end = experience._replace(bootstrap=factor)
+            ended = is_over and experience.bootstrap[0] == 0
+            before = self._waiting._replace(bootstrap=np.zeros(1, np.float32)) if ended else self._waiting
+            due.append((before, int(batch.action[0])))
+        without_end = experience._replace(bootstrap=np.asarray(factor, np.float32))
         if is_over:
             due.append((without_end, None))
         self._waiting = None if is_over else without_end
@@ -50,8 +52,8 @@ class LinearRelaxation:
     So the critic sees unbounded outputs, noise included, in place of the action that ran.
     """
 
-    def encode(self, outputs: NDArray[np.float32], action: int) -> NDArray[np.float32]:
-        """The vector that replay keeps: the outputs (actions,) that led to `action`."""
+    def encode(self, outputs: NDArray[np.float32], action: NDArray[np.int64]) -> NDArray[np.float32]:
+        """Vectors that replay keeps: the outputs (n, actions) that led to the actions (n,)."""
         del action
         return outputs
 

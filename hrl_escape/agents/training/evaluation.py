@@ -108,13 +108,10 @@ def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: in
     The seed also fixes the draws of a policy that is random by nature. The episode stops at `max_primitives` at the
     latest.
     """
-    rng, primitives = np.random.default_rng(seed), 0
-
-    def choose(observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        return agent.act_greedy(observation, action_mask, rng)
-
-    for transition, info in walk_episode(env, seed, check_actions(agent, env.action_space), agent.gamma, choose):
-        agent.note_outcome(transition, rng)
+    policy, primitives = agent.make_policy(), 0
+    policy.begin_episode(np.random.default_rng(seed))
+    for transition, info in walk_episode(env, seed, check_actions(agent, env.action_space), agent.gamma, policy.choose):
+        policy.note_outcome(transition)
         primitives += transition.duration
         yield transition, info
         if primitives >= max_primitives:

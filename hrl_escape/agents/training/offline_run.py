@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.components.offline import Decisions, OfflineAgent, OfflineData, Primitives
+from hrl_escape.agents.components.offline import OfflineAgent, OfflineData, Primitives, RecordedDecisions
 from hrl_escape.agents.registry import get_agent_class, get_recipe, list_offline_agents
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.callbacks import Callback
@@ -34,7 +34,7 @@ class Material(NamedTuple):
 
     data: OfflineData  # the data set
     env: gymnasium.Env  # environment to be evaluated in
-    decisions: Decisions  # what the agent learns from
+    decisions: RecordedDecisions  # what the agent learns from
     primitives: Primitives | None  # those inside the decisions, for agents that ask for them
     budget: int  # primitives of the agent's number of passes
 

@@ -24,6 +24,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, check_same_observations, read_success
 from hrl_escape.agents.registry import split_name
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
@@ -285,9 +286,9 @@ class Run(Stateful):
         """Train for one episode; returns its row of the log."""
         started, before, tally = time.perf_counter(), self.primitives, _Tally()
         calls, planning = count_planning(self.env)
-        agent, words, end = self.agent, self.describe_returns(), "budget"
+        agent, words, end = serve_one(self.agent), self.describe_returns(), "budget"
         seed = compute_episode_seed(self.arguments.seed, "training", len(self.episodes))
-        for transition, info in walk_episode(self.env, seed, self.actions, agent.gamma, agent.act):
+        for transition, info in walk_episode(self.env, seed, self.actions, self.agent.gamma, agent.act):
             if self.decisions == 0 and not is_decision(info) and split_name(self.arguments.name)[1]:
                 warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
             metrics = agent.observe(transition)
@@ -295,7 +296,7 @@ class Run(Stateful):
             self.decisions += 1
             tally.add(transition, info, metrics)
             if self.probe is not None:
-                self.probe.after_decision(agent, self.primitives)
+                self.probe.after_decision(self.agent, self.primitives)
             report(self.primitives, words)
             if transition.terminated or transition.truncated:
                 end = "terminated" if transition.terminated else "truncated"
@@ -322,7 +323,7 @@ class Run(Stateful):
         }
         self.episodes.append(cast("EpisodeRecord", read_row(row)))
         if self.probe is not None:
-            self.probe.after_episode(agent, self.episodes[-1])
+            self.probe.after_episode(self.agent, self.episodes[-1])
         return row
 
     def stop_clock(self, started: float, before: int) -> dict[str, float]:

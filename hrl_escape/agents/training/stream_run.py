@@ -27,19 +27,20 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import (
     SUCCESS_KEYS,
+    Agent,
     check_observation,
     check_same_observations,
     count_actions,
     read_success_value,
     set_option_discount,
 )
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.registry import split_name
+from hrl_escape.agents.seam import serve_many
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import (
     EndedDecisions,
-    StreamAgent,
     Streams,
-    StreamTransitions,
     gather_decisions,
 )
 from hrl_escape.agents.training.callbacks import Callback
@@ -340,9 +341,7 @@ _KEPT = 1 << 30  # bytes
 class StreamRun(Run):
     """A run whose unit is a segment: a fixed number of steps of all streams."""
 
-    agent: StreamAgent
-
-    def __init__(self, agent: StreamAgent, env: VectorEnv | Streams, eval_env: gymnasium.Env, arguments: RunArguments,
+    def __init__(self, agent: Agent, env: VectorEnv | Streams, eval_env: gymnasium.Env, arguments: RunArguments,
                  callbacks: Sequence[Callback] = ()) -> None:
         super().__init__(agent, eval_env, eval_env, arguments, callbacks=callbacks)
         keep_freed_memory()
@@ -350,6 +349,7 @@ class StreamRun(Run):
         self.streams = streams = make_streams(env, agent.gamma)
         check_same_observations(streams.observation_space, eval_env.observation_space)
         self._steps = max(SEGMENT_STEPS, SEGMENT_PRIMITIVES // streams.count)
+        self._server = serve_many(agent)
         self._begin()
 
     @property
@@ -360,11 +360,12 @@ class StreamRun(Run):
     def _begin(self) -> None:
         self._begun += 1
         self._reset_streams()
-        self.agent.begin_streams(self.streams.count, self.streams.device)
+        self._server.begin_episodes(self.streams.count, self.streams.device)
 
     def _reset_streams(self) -> None:
         self.streams.reset(compute_episode_seed(self.arguments.seed, "streams", self._begun))
         self._tally = _StreamTally(self.streams.count, self.streams.device)
+        self._masks = self.streams.action_mask.clone()  # legal at each environment's present decision
         self._is_fresh = True
 
     @property
@@ -380,7 +381,7 @@ class StreamRun(Run):
     def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Train for one segment; returns its row of the log."""
         started = time.perf_counter()
-        streams, agent, tally = self.streams, self.agent, self._tally
+        streams, agent, tally, masks = self.streams, self._server, self._tally, self._masks
         before, words = self.primitives, self.describe_returns()
         self._is_fresh, means = False, Means()
         for _ in range(self._steps):
@@ -388,12 +389,13 @@ class StreamRun(Run):
                 break
             asking = streams.is_waiting.nonzero().squeeze(1)
             action = torch.zeros(streams.count, dtype=torch.int64, device=streams.device)
-            action[asking] = agent.act_streams(streams.observation[asking], streams.action_mask[asking], asking)
+            masks[asking] = streams.action_mask[asking]
+            action[asking] = agent.act(Moments(asking, streams.observation[asking], masks[asking]))
             ended = streams.step(action)
-            decisions = gather_decisions(ended, streams.gamma, agent.gamma)
-            means.note(agent.observe_streams(decisions))
-            self.primitives += tally.add(decisions, ended.success[decisions.stream])
-            self.decisions += len(decisions.stream)
+            decisions = gather_decisions(ended, masks, streams.gamma, self.agent.gamma)
+            means.note(agent.observe(decisions))
+            self.primitives += tally.add(decisions, ended.success[decisions.env])
+            self.decisions += len(decisions.env)
             report(self.primitives, words)
         if self.primitives == self.decisions and before == 0 and split_name(self.arguments.name)[1]:
             warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
@@ -402,7 +404,8 @@ class StreamRun(Run):
     def state_dict(self) -> StateTree:
         """Streams and their sums beside the agent and the totals."""
         return super().state_dict() | {"streams": None if self.is_over else self.streams.state_dict(),
-                                       "begun": self._begun, "tally": self._tally.state_dict()}
+                                       "begun": self._begun, "tally": self._tally.state_dict(),
+                                       "masks": self._masks.cpu().numpy()}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Go on where `state_dict` was taken."""
@@ -418,6 +421,7 @@ class StreamRun(Run):
                 self._begin()
                 return
             self._tally.load_state_dict(state["tally"])
+            self._masks = torch.from_numpy(np.array(state["masks"])).to(self.streams.device)
 
 
 class _StreamTally(Stateful):
@@ -433,12 +437,12 @@ class _StreamTally(Stateful):
         self._sums = torch.zeros(5, dtype=torch.float64, device=device)
         """Returns, lengths, successes, episodes, and episodes that report their success."""
 
-    def add(self, decisions: StreamTransitions, success: Tensor) -> int:
+    def add(self, decisions: Decisions, success: Tensor) -> int:
         """Add decisions; returns the primitives that ran. `success`, (n,), is as in `EndedDecisions`."""
         row = torch.stack((decisions.summed_reward.double(), decisions.duration.double()))
-        running = self._running[:, decisions.stream] + row
+        running = self._running[:, decisions.env] + row
         over = decisions.terminated | decisions.truncated
-        self._running[:, decisions.stream] = torch.where(over, 0.0, running)
+        self._running[:, decisions.env] = torch.where(over, 0.0, running)
         counts = (success == 1, torch.ones_like(over), success >= 0)
         ended = torch.stack((*running, *(count.double() for count in counts)))
         self._sums += torch.where(over, ended, 0.0).sum(dim=1)

@@ -21,8 +21,9 @@ from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent, read_structure
 from hrl_escape.agents.registry import get_agent_class, list_stream_agents
+from hrl_escape.agents.seam import MANY
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.streams import StreamAgent, Streams
+from hrl_escape.agents.streams import Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import (
@@ -184,7 +185,7 @@ def train(
         elif isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe, callbacks)
         else:
-            if not isinstance(learner, StreamAgent):
+            if not isinstance(learner, MANY):
                 raise AgentSettingsError("agent", name, "one that learns from many environments at once: "
                                          f"{', '.join(list_stream_agents())}; or give train an ordinary environment")
             if probe is not None:

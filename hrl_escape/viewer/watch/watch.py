@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition, set_option_discount
+from hrl_escape.agents.decisions import Moments, Policy
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import PrimitiveStep
@@ -322,26 +324,45 @@ class _WatchedAgent(Agent):
         self.settings = self._agent.settings
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        return self._record(observation, self._agent.act(observation, action_mask), action_mask)
+        return self.record(observation, serve_one(self._agent).act(observation, action_mask), action_mask)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        return self._record(observation, self._agent.act_greedy(observation, action_mask, rng), action_mask)
+        return self.record(observation, self._agent.act_greedy(observation, action_mask, rng), action_mask)
 
-    def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
-        self._agent.note_outcome(transition, rng)
+    def make_policy(self) -> Policy:
+        return _WatchedPolicy(self, self._agent.make_policy())
 
-    def _record(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> int:
+    def record(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> int:
         self._watch.note_choice(self._watch.read(observation, action, mask))
         return action
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        return self._agent.observe(transition)
+        return serve_one(self._agent).observe(transition)
 
     def state_dict(self) -> dict[str, Any]:
         return self._agent.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self._agent.load_state_dict(state)
+
+
+class _WatchedPolicy(Policy):
+    """The driver's policy, recording each choice."""
+
+    def __init__(self, watched: _WatchedAgent, policy: Policy) -> None:
+        self._watched, self._policy, self.is_markov = watched, policy, policy.is_markov
+
+    def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
+        self._policy.begin_episode(rng, num_envs)
+
+    def act(self, batch: Moments) -> Any:
+        return np.array((self.choose(batch.observation[0], batch.action_mask[0]),))
+
+    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        return self._watched.record(observation, self._policy.choose(observation, action_mask), action_mask)
+
+    def note_outcome(self, transition: SMDPTransition) -> None:
+        self._policy.note_outcome(transition)
 
 
 class _WatchedEnv(gymnasium.Wrapper):

@@ -21,6 +21,7 @@ from hrl_escape.agents.algorithms.sarsa import Sarsa, SarsaSettings
 from hrl_escape.agents.components.exploration import compute_policy
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_advantages
 from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.seam import serve_one
 
 GAMMA = 0.93
 SIZE, INPUTS, ACTIONS = 64, 5, 4
@@ -181,7 +182,7 @@ def test_the_greedy_policy_follows_the_average_and_exploration_the_online_networ
         mean = mean + max(0.25, 1 / number) * (weights - mean)
     assert agent.values.average.weights.numpy() == pytest.approx(mean.numpy(), abs=1e-6)
     observations, legal = batch.observation, np.ones(ACTIONS, np.bool_)
-    exploring = [agent.act(each, legal) for each in observations]
+    exploring = [serve_one(agent).act(each, legal) for each in observations]
     greedy = [agent.act_greedy(each, legal, np.random.default_rng(0)) for each in observations]
     assert exploring == forward(agent.values.online, observations).argmax(axis=1).tolist()
     assert greedy == forward(agent.values.average, observations).argmax(axis=1).tolist()
@@ -363,7 +364,7 @@ def test_ppo_loss_equals_the_formula_by_hand(seed):
     error = 0.5 * ((forward(agent.critic, rollout.observation)[:, 0] - target) ** 2).mean()
     entropy = -np.where(rollout.mask, policy * np.log(np.maximum(policy, 1e-300)), 0).sum(axis=1).mean()
     columns = (rollout.observation, rollout.mask, rollout.action, old, advantage, target)
-    loss, _ = agent.compute_loss(*map(torch.from_numpy, columns))
+    loss = agent.compute_loss(*map(torch.from_numpy, columns))["loss"]
     assert loss.item() == pytest.approx(-gain + 0.5 * error - 0.05 * entropy, abs=2e-6)
 
 
@@ -379,6 +380,7 @@ def test_logged_numbers_are_means_over_the_updates():
     rng, every, told = np.random.default_rng(0), np.ones(ACTIONS, np.bool_), {}
     for _ in range(SIZE):
         seen, following = rng.standard_normal((2, INPUTS)).astype(np.float32)
-        told = agent.observe(make_transition(seen, agent.act(seen, every), every, (following, -1.0, False, False, {}),
-                                             GAMMA))
+        step = following, -1.0, False, False, {}
+        action = serve_one(agent).act(seen, every)
+        told = serve_one(agent).observe(make_transition(seen, action, every, step, GAMMA))
     assert told["entropy"] == pytest.approx(np.log(ACTIONS), rel=0.01)

@@ -10,8 +10,10 @@ import torch
 
 from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.rainbow import Rainbow, RainbowSettings, project
+from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.networks import NoisyLinear
-from hrl_escape.agents.components.replay import Experience, Priorities, ReplayBuffer
+from hrl_escape.agents.components.replay import Experience, Priorities, Replay
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.errors import AgentSettingsError
 from tests.agents.algorithms.test_deep_losses import ACTIONS, GAMMA, SIZE, SPACES, make_batch
 from tests.agents.running import learn
@@ -165,15 +167,16 @@ def test_noise_has_the_deviation_of_its_equation_and_none_is_left_in_evaluation(
         assert torch.cat(drawn).mean(dim=0).numpy() == pytest.approx(layer.mean(rows)[0].numpy(), abs=0.05)
     seen, mask = make_batch(0)[0].observation[0], np.ones(ACTIONS, np.bool_)
     before = agent.compute_values(seen)
-    chosen = {agent.act(seen, mask) for _ in range(50)}
+    chosen = {serve_one(agent).act(seen, mask) for _ in range(50)}
     assert len(chosen) > 1, "noise explores"
     assert (agent.compute_values(seen) == before).all()
     assert not any(each._outs.any() for each in agent.values.online.modules() if isinstance(each, NoisyLinear))
 
 
 def test_rows_are_drawn_by_their_powers_and_weights_undo_it():
-    ring, priorities, rng = ReplayBuffer(4, (1,), np.float32, 1), Priorities(0.5), np.random.default_rng(0)
-    one = Experience(np.zeros(1), np.ones(1), 0, 0.0, 0.0, np.zeros(1), np.ones(1))
+    rng = np.random.default_rng(0)
+    ring, priorities = Replay(Arrays(rng), 4, (1,), np.float32, 1), Priorities(0.5)
+    one = Experience(*(np.zeros((1, *shape)) for shape in ((1,), (1,), (), (), (), (1,), (1,))))
     for _ in range(3):
         ring.add(one)
     rows, weights = priorities.draw(ring, 6_000, 1.0, rng)

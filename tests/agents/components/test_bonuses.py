@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents import make_agent, train
-from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.errors import UnsupportedSpaceError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
@@ -16,7 +16,7 @@ ROOM = gymnasium.spaces.Box(np.array([-1, -1, 0], np.float32), np.array([1, 1, 1
 
 
 def test_the_nth_visit_of_a_cell_is_worth_weight_over_root_n_less_the_weight():
-    bonus = CountBonus(ROOM, BonusSettings(bonus_weight=6.0, bonus_bins=3), "dqn")
+    bonus = CountBonus(ROOM, 6.0, 3, "dqn")
     worth = [bonus.visit(np.array([x, 0.0, 0.0])) for x in (0.0, 0.2, -0.3, 0.0)]
     assert worth == pytest.approx([0, 6 / 2**0.5 - 6, 6 / 3**0.5 - 6, -3])
     assert bonus.visit(np.array([0.0, 0.0, 1.0])) == 0, "a puzzle bit makes another cell"
@@ -25,10 +25,10 @@ def test_the_nth_visit_of_a_cell_is_worth_weight_over_root_n_less_the_weight():
 
 def test_a_weight_of_0_counts_nothing_and_takes_any_space():
     pictures = gymnasium.spaces.Box(0, 255, (84, 84, 3), np.uint8)
-    bonus = CountBonus(pictures, BonusSettings(), "dqn")
+    bonus = CountBonus(pictures, 0.0, 5, "dqn")
     assert bonus.visit(pictures.sample()) == 0.0 and not len(bonus.state_dict()["counts"])
     with pytest.raises(UnsupportedSpaceError, match="dqn"):
-        CountBonus(pictures, BonusSettings(bonus_weight=1.0), "dqn")
+        CountBonus(pictures, 1.0, 5, "dqn")
 
 
 def test_the_bonus_is_learned_from_and_stays_out_of_returns():
@@ -51,7 +51,7 @@ def test_deep_agents_learn_from_the_bonus(name: str):
         agent = make_agent(name, env.observation_space, env.action_space, 0, bonus_weight=weight, **single)
         for _ in interact(agent, env, 5):
             pass
-        rows = agent.replay._fields.reward[:5] if name == "dqn" else agent._gather().reward  # type: ignore[attr-defined]
+        rows = agent.replay._fields.reward[:5] if name == "dqn" else agent.rollout.gather().reward  # type: ignore[attr-defined]
         return [float(row) / agent.settings.reward_scale for row in rows]
 
     plain, counted = find_rewards(0.0), find_rewards(8.0)

@@ -82,7 +82,7 @@ def test_deep_agents_learn_from_distillation_and_act_as_before_until_they_do(nam
         single = {"n_step": 1} if name == "dqn" else {}
         agent = make_agent(name, env.observation_space, env.action_space, 0, **settings, **single)
         actions = [transition.action for transition in interact(agent, env, 60)]
-        rows = agent.replay._fields.reward[:60] if name == "dqn" else agent._gather().reward  # type: ignore[attr-defined]
+        rows = agent.replay._fields.reward[:60] if name == "dqn" else agent.rollout.gather().reward  # type: ignore[attr-defined]
         return actions, [float(row) / agent.settings.reward_scale for row in rows]
 
     actions, plain = find_rewards()

@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.wrappers import TimeLimit
 
 from hrl_escape.agents import load_agent, make_agent, train
@@ -25,7 +26,7 @@ def make(env: gymnasium.Env, seed: int = 0, **settings):
 def read_replay(env: gymnasium.Env, primitives: int, **settings) -> list[tuple[float, ...]]:
     """Rows of replay after training: cell, goal, R, b, and next cell and goal where they count; in fifths of a walk."""
     agent = train("dqn", env, primitives=primitives, settings=PLAIN | settings, eval_episodes=0).agent
-    rows = agent.replay.state_dict()
+    rows = agent.replay.take(np.arange(len(agent.replay)))._asdict()
     return [(*np.rint(5 * here).tolist(), float(reward), float(bootstrap),
              *(np.rint(5 * there).tolist() if bootstrap else ()))
             for here, reward, bootstrap, there in zip(*(rows[name] for name in (
@@ -220,7 +221,7 @@ def test_decisions_of_several_primitives_and_many_environments_are_refused():
     with pytest.raises(StepContractError, match="ran 2 primitives; hindsight_goals are for decisions of one"):
         learn(make(env, hindsight_goals=4), env, 1)
     with pytest.raises(AgentSettingsError, match="0 in many environments at once"):
-        make(BitFlip(3), hindsight_goals=4).begin_streams(2, "cpu")
+        make(BitFlip(3), hindsight_goals=4).begin_episodes(2, torch.device("cpu"))
 
 
 def test_pictures_with_goals_are_refused():

@@ -12,6 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from hrl_escape.agents import evaluate, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.memory import cut_stretches
+from hrl_escape.agents.decisions import Moments
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.checks.agent import check_agent
@@ -81,12 +83,12 @@ def play(agent, mazes, steps):
     """Let an agent learn nothing while streams run; returns what it remembers of them."""
     streams = VectorStreams(mazes, agent.gamma)
     streams.reset(0)
-    agent.begin_streams(mazes.num_envs, torch.device("cpu"))
+    agent.begin_episodes(mazes.num_envs, torch.device("cpu"))
     for _ in range(steps):
-        every = torch.arange(mazes.num_envs)
-        action = agent.act_streams(streams.observation, streams.action_mask, every)
-        agent.observe_streams(gather_decisions(streams.step(action), 0.99, 0.99))
-    return agent._gather()
+        mask = streams.action_mask
+        action = agent.act(Moments(torch.arange(mazes.num_envs), streams.observation, mask))
+        agent.observe(gather_decisions(streams.step(action), mask, 0.99, 0.99))
+    return agent.rollout.gather()
 
 
 @pytest.mark.parametrize("span", [3, 7, 100])
@@ -174,9 +176,9 @@ def test_states_of_objects_permute_with_the_objects():
             agent.act_greedy(observation, np.ones(rows, bool), rng)
         preferences.append(agent.compute_preferences(observation))
     assert preferences[1] == pytest.approx(preferences[0][order], abs=1e-5)
-    agent.begin_streams(2, torch.device("cpu"))
-    assert agent.act_streams(torch.from_numpy(life[:2]), torch.ones(2, rows, dtype=torch.bool),
-                             torch.arange(2)).shape == (2,)
+    agent.begin_episodes(2, torch.device("cpu"))
+    assert agent.act(Moments(torch.arange(2), torch.from_numpy(life[:2]), torch.ones(2, rows, dtype=torch.bool))
+                     ).shape == (2,)
 
 
 def test_pictures_are_not_remembered():
@@ -191,11 +193,12 @@ def test_what_is_remembered_is_part_of_a_checkpoint():
 
     agent, mask, rng = begin(), np.ones(3, bool), np.random.default_rng(0)
     for observation in rng.uniform(-1, 1, (4, 2)).astype(np.float32):
-        agent.act(observation, mask)
+        serve_one(agent).act(observation, mask)
     restored = begin()
     restored.load_state_dict(agent.state_dict())
     assert flatten(restored.state_dict()) == flatten(agent.state_dict())
-    assert agent._recollection.any() and (restored._recollection == agent._recollection).all()
+    now, again = agent._recollections.now, restored._recollections.now
+    assert now.any() and (again == now).all()
 
 
 def test_streams_that_all_end_at_once_choose_nothing_for_a_step():

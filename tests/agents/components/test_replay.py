@@ -8,7 +8,9 @@ from hypothesis import strategies as st
 
 from hrl_escape.agents import make_agent, make_transition
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
-from hrl_escape.agents.components.replay import Experience, NStep, ReplayBuffer
+from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.replay import Experience, Replay, make_batch
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.errors import CheckpointError
 
@@ -39,7 +41,7 @@ def transitions(draw):
 
 def make_experience(transition):
     reward, bootstrap = compute_backup(transition, SETTINGS)
-    return Experience(
+    return make_batch(Experience(
         transition.observation,
         transition.action_mask,
         transition.action,
@@ -47,17 +49,21 @@ def make_experience(transition):
         bootstrap,
         transition.next_observation,
         transition.next_action_mask,
-    )
+    ))
+
+
+def make_replay(capacity, observation_shape=(2,), actions=4, **more):
+    return Replay(Arrays(np.random.default_rng(0)), capacity, observation_shape, np.float32, actions, **more)
 
 
 @given(decisions=st.lists(transitions(), min_size=1, max_size=20), capacity=st.integers(1, 12))
 def test_trap_7_what_is_sampled_is_what_was_stored_also_after_a_checkpoint(tmp_path_factory, decisions, capacity):
-    buffer = ReplayBuffer(capacity, (2,), np.float32, 4)
+    buffer = make_replay(capacity)
     for decision in decisions:
         buffer.add(make_experience(decision))
     path = tmp_path_factory.mktemp("replay") / "replay.npz"
     save_checkpoint(path, buffer.state_dict())
-    restored = ReplayBuffer(capacity, (2,), np.float32, 4)
+    restored = make_replay(capacity)
     restored.load_state_dict(load_checkpoint(path))
 
     kept = {}
@@ -65,56 +71,59 @@ def test_trap_7_what_is_sampled_is_what_was_stored_also_after_a_checkpoint(tmp_p
         discount = 0.0 if decision.terminated else GAMMA**decision.duration
         key = (*decision.observation, decision.action, *decision.next_observation, *decision.next_action_mask)
         kept.setdefault(key, set()).add((np.float32(decision.reward), np.float32(discount)))
-    batch = restored.sample(64, np.random.default_rng(0))
+    batch = restored.sample(64)
     for row in zip(*batch, strict=True):
         observation, mask, action, reward, bootstrap, next_observation, next_mask = row
         assert mask.all()
         assert (reward, bootstrap) in kept[(*observation, action, *next_observation, *next_mask)]
-    for original, again in zip(buffer.sample(64, np.random.default_rng(0)), batch, strict=True):
+    for original, again in zip(buffer.sample(64), batch, strict=True):
         assert (original == again).all()
 
 
 def test_sampling_reaches_every_stored_decision_and_no_other():
-    buffer = ReplayBuffer(5, (1,), np.float32, 2)
+    buffer = make_replay(5, (1,), 2)
     for number in range(8):
         mask = np.ones(2, np.bool_)
-        buffer.add(Experience(np.float32([number]), mask, 0, number, 0.5, np.float32([number]), mask))
-    assert set(buffer.sample(500, np.random.default_rng(0)).reward) == {3, 4, 5, 6, 7}
+        buffer.add(make_batch(Experience(np.float32([number]), mask, 0, number, 0.5, np.float32([number]), mask)))
+    assert set(buffer.sample(500).reward) == {3, 4, 5, 6, 7}
 
 
 def test_a_checkpoint_of_other_spaces_is_refused():
-    buffer = ReplayBuffer(5, (1,), np.float32, 2)
+    buffer = make_replay(5, (1,), 2)
     mask = np.ones(2, np.bool_)
-    buffer.add(Experience(np.float32([1]), mask, 0, 1.0, 0.5, np.float32([1]), mask))
+    buffer.add(make_batch(Experience(np.float32([1]), mask, 0, 1.0, 0.5, np.float32([1]), mask)))
     with pytest.raises(CheckpointError, match="observation of shape"):
-        ReplayBuffer(5, (3,), np.float32, 2).load_state_dict(buffer.state_dict())
+        make_replay(5, (3,), 2).load_state_dict(buffer.state_dict())
 
 
-@given(decisions=st.lists(transitions(), min_size=1, max_size=12), n=st.integers(1, 5))
-def test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends(decisions, n):
-    window, joined = NStep(n), []
-    for decision in decisions:
-        joined += window.push(make_experience(decision), decision.terminated or decision.truncated)
-
-    # The reference walks primitives: from each decision, n decisions or to the episode's end.
-    expected = []
+def join_by_hand(decisions, n):
+    """Backups of up to n decisions from each, primitive by primitive, to the episode's end or the last decision."""
+    backups = []
     for first in range(len(decisions)):
-        reward, elapsed, complete = 0.0, 0, False
+        reward, elapsed = 0.0, 0
         for last in range(first, min(first + n, len(decisions))):
             reward += GAMMA**elapsed * decisions[last].reward
             elapsed += decisions[last].duration
-            over = decisions[last].terminated or decisions[last].truncated
-            if over or last == first + n - 1:
-                complete = True
+            if decisions[last].terminated or decisions[last].truncated:
                 break
-        if complete:
-            bootstrap = 0.0 if decisions[last].terminated else GAMMA**elapsed
-            expected.append((decisions[first].action, reward, bootstrap, *decisions[last].next_observation,
-                             *decisions[last].next_action_mask))
-    got = [(e.action, e.reward, e.bootstrap, *e.next_observation, *e.next_mask) for e in joined]
-    assert len(got) == len(expected)
-    for one, other in zip(sorted(got), sorted(expected), strict=True):
-        assert one == pytest.approx(other, rel=1e-9, abs=1e-9)
+        backups.append((decisions[first].action, reward, 0.0 if decisions[last].terminated else GAMMA**elapsed,
+                        *decisions[last].next_observation, *decisions[last].next_action_mask))
+    return backups
+
+
+@given(decisions=st.lists(transitions(), min_size=1, max_size=20), n=st.integers(1, 5), capacity=st.integers(1, 25))
+def test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends(decisions, n, capacity):
+    replay = make_replay(capacity, n_step=n)
+    for decision in decisions:
+        over = np.array([decision.terminated or decision.truncated])
+        replay.add(make_experience(decision), np.zeros(1, np.int64), over)
+    order = np.arange(max(len(decisions) - capacity, 0), len(decisions))  # the oldest were overwritten
+    found = replay.take(order % capacity)
+    got = zip(found.action, found.reward, found.bootstrap, found.next_observation, found.next_mask, strict=True)
+    for one, number in zip(got, order, strict=True):
+        action, reward, bootstrap, following, mask = one
+        expected = join_by_hand(decisions, n)[number]
+        assert (action, reward, bootstrap, *following, *mask) == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
 @pytest.mark.parametrize(("name", "settings", "metric"), [
@@ -128,6 +137,7 @@ def test_a_warm_up_of_five_primitives_ends_with_the_fifth_and_the_sixth_is_learn
     learned, mask = [], np.ones(3, np.bool_)
     for duration in (2, 2, 1, 1, 2):
         step = (space.sample(), -float(duration), False, False, {"duration": duration, "rewards": [-1.0] * duration})
-        transition = make_transition(space.sample(), agent.act(space.sample(), mask), mask, step, agent.gamma)
-        learned.append(metric in agent.observe(transition))
+        served = serve_one(agent)
+        transition = make_transition(space.sample(), served.act(space.sample(), mask), mask, step, agent.gamma)
+        learned.append(metric in served.observe(transition))
     assert learned == [False, False, False, True, True]

@@ -6,11 +6,17 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
-from hrl_escape.agents.components.exploration import ExplorationSettings, compute_policy
-from hrl_escape.agents.components.replay import Experience, NStep, StreamNStep, StreamReplay, sample_actions
+from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.exploration import ExplorationSettings, compute_exploration
+from hrl_escape.agents.components.replay import Experience, Replay
 from tests.agents.small_envs import Outcome, SmdpEnv, solve
 
 ACTIONS = 3
+CPU = torch.device("cpu")
+
+
+def make_replay(capacity, device, n_step=1, num_envs=1):
+    return Replay(Arrays(np.random.default_rng(0), device), capacity, (2,), np.float32, ACTIONS, (), n_step, num_envs)
 
 
 def make_backup(rng, count):
@@ -29,28 +35,43 @@ def list_rows(experience):
 @pytest.mark.parametrize(("n", "streams"), [(1, 6), (2, 64), (3, 1), (5, 6)])
 def test_backups_of_n_decisions_are_those_of_every_stream_alone(n, streams):
     rng = np.random.default_rng(n)
-    many, alone = StreamNStep(n, streams, torch.zeros(1, 2), ACTIONS), [NStep(n) for _ in range(streams)]
+    many = make_replay(10_000, CPU, n, streams)
+    alone = [make_replay(10_000, None, n) for _ in range(streams)]
     for _ in range(60):  # some streams at a time, in any order
         rows = rng.permutation(streams)[: rng.integers(1, streams + 1)]
         experience, over = make_backup(rng, len(rows)), rng.random(len(rows)) < 0.15
-        found = many.push(torch.from_numpy(rows), experience, torch.from_numpy(over))
-        expected = []
+        many.add(experience, torch.from_numpy(rows), torch.from_numpy(over))
         for at, row in enumerate(rows):
-            one = Experience(*(field[at].numpy() for field in experience))
-            expected += alone[row].push(one, bool(over[at]))
-        assert sorted(list_rows(Experience(*(field.numpy() for field in found)))) == sorted(
-            tuple(np.asarray(field, np.float32).tobytes() for field in one) for one in expected)
+            one = Experience(*(field[at : at + 1].numpy() for field in experience))
+            alone[row].add(one, np.zeros(1, np.int64), over[at : at + 1])
+    found = sorted(list_rows(many.take(torch.arange(len(many)))))
+    assert found == sorted(row for each in alone for row in list_rows(each.take(np.arange(len(each)))))
 
 
-def test_replay_keeps_the_latest_and_draws_them_all():
-    rng, replay = np.random.default_rng(0), StreamReplay(20, torch.zeros(1, 2), ACTIONS)
+@pytest.mark.parametrize("device", [None, CPU])
+def test_a_full_ring_joins_no_decision_with_one_that_took_another_s_place(device):
+    rng, replay = np.random.default_rng(0), make_replay(7, device, 3, 4)
+    to_own = torch.from_numpy if device else np.asarray
+    for _ in range(200):
+        rows = rng.permutation(4)[: rng.integers(1, 5)]
+        backup = make_backup(rng, len(rows))
+        backup = backup._replace(reward=torch.tensor([float(10 ** row) for row in rows]),
+                                 bootstrap=torch.ones(len(rows)))
+        replay.add(backup if device else Experience(*(field.numpy() for field in backup)), to_own(rows),
+                   to_own(rng.random(len(rows)) < 0.2))
+        found = np.asarray(replay.take(to_own(np.arange(len(replay)))).reward)
+        assert all(each in [count * 10.0 ** row for row in range(4) for count in (1, 2, 3)] for each in found)
+
+
+@pytest.mark.parametrize("device", [None, CPU])
+def test_replay_keeps_the_latest_and_draws_them_all(device):
+    rng, replay = np.random.default_rng(0), make_replay(20, device)
     added = []
     for count in (7, 1, 30, 5, 9):
         batch = make_backup(rng, count)
-        replay.add(batch)
+        replay.add(batch if device else Experience(*(field.numpy() for field in batch)))
         added += list_rows(batch)
-    drawn = replay.sample(2_000, torch.Generator().manual_seed(0))
-    assert set(list_rows(drawn)) == set(added[-20:])
+    assert set(list_rows(replay.sample(2_000))) == set(added[-20:])
 
 
 @pytest.mark.parametrize("settings", [
@@ -61,10 +82,25 @@ def test_replay_keeps_the_latest_and_draws_them_all():
 def test_draws_have_the_probabilities_of_the_policy(settings):
     values, mask = np.array([0.3, 1.1, -0.4, 2.0]), np.array([True, True, True, False])
     rows = 40_000
-    action = sample_actions(torch.tensor(values).expand(rows, 4), torch.tensor(mask).expand(rows, 4), settings, 50,
-                            torch.Generator().manual_seed(1))
-    found = np.bincount(action.numpy(), minlength=4) / rows
-    assert found == pytest.approx(compute_policy(values, mask, settings, 50), abs=0.012) and found[3] == 0
+    chances = {"epsilon": 0.3, "temperature": settings.temperature if settings.exploration == "boltzmann" else 0.0,
+               "clip": settings.boltzmann_clip}
+    for device in (None, CPU):
+        arrays, to_own = Arrays(np.random.default_rng(1), device), torch.from_numpy if device else np.asarray
+        policy = compute_exploration(to_own(np.tile(values, (rows, 1))), to_own(np.tile(mask, (rows, 1))), **chances)
+        assert np.asarray(policy[0]) == pytest.approx(by_hand(values, mask, **chances))
+        found = np.bincount(np.asarray(arrays.draw_choices(policy)), minlength=4) / rows
+        assert found == pytest.approx(by_hand(values, mask, **chances), abs=0.012) and found[3] == 0
+
+
+def by_hand(values, mask, epsilon, temperature, clip):
+    """Probabilities of the exploring policy, action by action."""
+    legal = [action for action in range(len(values)) if mask[action]]
+    if temperature:
+        bounded = {a: np.clip(values[a] / temperature, -clip, clip) if clip else values[a] / temperature for a in legal}
+        total = sum(np.exp(value) for value in bounded.values())
+        return [np.exp(bounded[a]) / total if a in bounded else 0.0 for a in range(len(values))]
+    best = max(legal, key=lambda action: values[action])
+    return [(epsilon / len(legal) if a in legal else 0.0) + (1 - epsilon) * (a == best) for a in range(len(values))]
 
 
 CHAIN = [  # a step, and a leap of three primitives that may fall short; state 4 is left for good

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
-from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.components.replay import Experience, make_batch
+from hrl_escape.agents.decisions import make_decision
 from hrl_escape.agents.keras_rl_2019.keras_rl import LateTerminal, LinearRelaxation
 
 MASK = np.ones(3, np.bool_)
@@ -17,8 +18,9 @@ def push(late, number, action, end=""):
     transition = SMDPTransition(place, action, MASK, float(number), float(number), 1, 0.9, place + 1, MASK,
                                 end == "terminated", end == "truncated")
     reward, bootstrap = compute_backup(transition, SETTINGS)
-    experience = Experience(place, MASK, action, reward, bootstrap, place + 1, MASK)
-    return [(each.reward, each.bootstrap, taken) for each, taken in late.push(experience, transition, SETTINGS)]
+    experience = make_batch(Experience(place, MASK, action, reward, bootstrap, place + 1, MASK))
+    return [(float(each.reward[0]), pytest.approx(float(each.bootstrap[0])), taken)
+            for each, taken in late.push(experience, make_decision(transition), SETTINGS)]
 
 
 @pytest.mark.parametrize("end", ["terminated", "truncated"])
@@ -41,7 +43,7 @@ def test_replay_and_critic_see_the_outputs_themselves_legal_or_not():
     relaxation = LinearRelaxation()
     outputs, mask = torch.tensor([[3.0, 1.0, -0.5]]), torch.tensor([[False, True, True]])
     assert relaxation.relax(outputs, mask) is outputs
-    assert relaxation.encode(outputs.numpy()[0], 1).tolist() == [3.0, 1.0, -0.5]
+    assert relaxation.encode(outputs.numpy(), np.array([1])).tolist() == [[3.0, 1.0, -0.5]]
 
 
 def test_the_actor_loss_is_minus_the_mean_value_of_its_outputs():

@@ -18,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from hrl_escape.agents import Callback, load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.evaluation import evaluate
@@ -477,8 +478,8 @@ def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_fa
     restored.load_state_dict(load_checkpoint(path))
     assert flatten(restored.state_dict()) == flatten(agent.state_dict())
     for transition in steps:
-        assert restored.act(transition.observation, transition.action_mask) == transition.action
-        restored.observe(transition)
+        assert serve_one(restored).act(transition.observation, transition.action_mask) == transition.action
+        serve_one(restored).observe(transition)
     assert flatten(restored.state_dict()) == flatten(agent.state_dict())
 
 

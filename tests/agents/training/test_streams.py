@@ -10,8 +10,9 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import evaluate, load_agent, load_env, make_agent, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
-from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy, compute_next_values
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.env.presets import get_preset
@@ -30,6 +31,12 @@ SMALL_A2OC = {"hidden": (8,), "rollout": 64, "stream_rollout": 4}
 SETTINGS = {**dict.fromkeys(("ppo", "dac", "ppoc", "diayn"), SMALL),
             **dict.fromkeys(("dqn", "sarsa"), SMALL_DQN), "rainbow": SMALL_DQN | {"noise": 0.5},
             "ddpg": SMALL_DQN | {"actor_warmup": 20}, "a2oc": SMALL_A2OC, "q-learning": {}, "r-max": {"visits": 2}}
+
+
+def decide(gamma, env, observation, mask, action, reward, summed, k, reached, reached_mask, terminated, truncated):
+    """Decisions of many environments, with the discount of their durations."""
+    return Decisions(env, observation, mask, action, reward, summed, k, gamma ** k.float(), reached, reached_mask,
+                     terminated, truncated)
 
 
 # --- returns over decisions that end each at its own time -----------------------------------------
@@ -64,12 +71,13 @@ def sum_returns(life, last_value):
 def test_returns_of_ragged_decisions_are_those_summed_by_hand_in_every_stream(count):
     settings = PPOSettings(gamma=GAMMA, reward_scale=1.0, gae_lambda=1.0, rollout=10**6, hidden=(4,))
     agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0, settings)
-    agent.begin_streams(count, CPU)
+    agent.begin_episodes(count, CPU)
     rng = np.random.default_rng(count)
     lives = [make_life(rng, 100) for _ in range(count)]
     ends = [np.cumsum([len(rewards) for rewards, _ in life]) for life in lives]
     made = [0] * count
-    agent.act_streams(torch.zeros(count, 2), torch.ones(count, ACTIONS, dtype=torch.bool), torch.arange(count))
+    legal = torch.ones(count, ACTIONS, dtype=torch.bool)
+    agent.act(Moments(torch.arange(count), torch.zeros(count, 2), legal))
     for primitive in range(1, 101):  # every stream at its own pace: rows come in whatever order decisions end
         rows = [i for i in range(count) if primitive in ends[i]]
         if not rows:
@@ -78,14 +86,15 @@ def test_returns_of_ragged_decisions_are_those_summed_by_hand_in_every_stream(co
         for i in rows:
             made[i] += 1
         rewards = torch.tensor([sum(GAMMA**n * r for n, r in enumerate(one)) for one, _ in ended], dtype=torch.float32)
-        agent.observe_streams(StreamTransitions(
-            torch.tensor(rows), torch.zeros(len(rows), 2), torch.zeros(len(rows), dtype=torch.int64), rewards,
+        agent.observe(decide(
+            GAMMA, torch.tensor(rows), torch.zeros(len(rows), 2), legal[rows],
+            torch.zeros(len(rows), dtype=torch.int64), rewards,
             torch.tensor([one.sum() for one, _ in ended], dtype=torch.float32),
             torch.tensor([len(one) for one, _ in ended]), torch.zeros(len(rows), 2),
             torch.ones(len(rows), ACTIONS, dtype=torch.bool),
             torch.tensor([end == "terminated" for _, end in ended]),
             torch.tensor([end == "truncated" for _, end in ended])))
-    rollout = agent._gather()
+    rollout = agent.rollout.gather()
     # With lambda = 1 and the same value of every state, the advantage is the return less that value.
     value = torch.full((len(rollout.place),), 0.7)
     found = compute_advantages(rollout, value, value, settings) + value
@@ -98,15 +107,15 @@ def test_returns_of_ragged_decisions_are_those_summed_by_hand_in_every_stream(co
 def test_a_decision_keeps_the_mask_and_the_probability_that_it_was_chosen_with():
     agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0,
                 PPOSettings(hidden=(4,), rollout=10**6))
-    agent.begin_streams(2, CPU)
+    agent.begin_episodes(2, CPU)
     masks = torch.tensor([[True, False, True], [False, True, False]])
-    action = agent.act_streams(torch.tensor([[0.3, -0.2], [0.9, 0.1]]), masks, torch.arange(2))
+    action = agent.act(Moments(torch.arange(2), torch.tensor([[0.3, -0.2], [0.9, 0.1]]), masks))
     assert action[1] == 1 and action[0] != 1
-    agent.act_streams(torch.zeros(1, 2), torch.tensor([[True, True, False]]), torch.tensor([1]))  # stream 1 again
+    agent.act(Moments(torch.tensor([1]), torch.zeros(1, 2), torch.tensor([[True, True, False]])))  # environment 1 again
     one, zero = torch.ones(1), torch.zeros(1, dtype=torch.bool)
-    agent.observe_streams(StreamTransitions(torch.tensor([0]), torch.tensor([[0.3, -0.2]]), action[:1], one, one,
-                                            torch.tensor([7]), torch.zeros(1, 2), masks[:1], zero, zero))
-    row = agent._gather()
+    agent.observe(decide(0.99, torch.tensor([0]), torch.tensor([[0.3, -0.2]]), masks[:1], action[:1], one, one,
+                         torch.tensor([7]), torch.zeros(1, 2), masks[:1], zero, zero))
+    row = agent.rollout.gather()
     assert row.mask.tolist() == masks[:1].tolist() and row.bootstrap.item() == pytest.approx(0.99**7)
     logits = agent.compute_preferences(np.array([0.3, -0.2], np.float32))
     chances = np.where([True, False, True], np.exp(logits), 0.0)
@@ -116,23 +125,23 @@ def test_a_decision_keeps_the_mask_and_the_probability_that_it_was_chosen_with()
 def test_a_bonus_is_a_part_of_the_reward_of_every_stream():
     settings = PPOSettings(hidden=(4,), rollout=10**6, bonus_weight=3.0, reward_scale=0.5)
     agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0, settings)
-    agent.begin_streams(3, CPU)
+    agent.begin_episodes(3, CPU)
     mask, zeros = torch.ones(3, ACTIONS, dtype=torch.bool), torch.zeros(3, dtype=torch.bool)
-    action = agent.act_streams(torch.zeros(3, 2), mask, torch.arange(3))
+    action = agent.act(Moments(torch.arange(3), torch.zeros(3, 2), mask))
     reached = torch.tensor([[0.5, 0.5], [-0.5, 0.5], [0.5, 0.5]])  # the first cell is visited twice
-    agent.observe_streams(StreamTransitions(torch.arange(3), torch.zeros(3, 2), action, -torch.ones(3), -torch.ones(3),
-                                            torch.ones(3, dtype=torch.int64), reached, mask, zeros, zeros))
-    rewards = np.asarray(agent.state_dict()["rollout"]["reward"])
+    agent.observe(decide(0.99, torch.arange(3), torch.zeros(3, 2), mask, action, -torch.ones(3), -torch.ones(3),
+                         torch.ones(3, dtype=torch.int64), reached, mask, zeros, zeros))
+    rewards = agent.rollout.gather().reward.numpy()
     assert rewards == pytest.approx([-0.5, -0.5, 0.5 * (-1 - 3 * (1 - 2**-0.5))])
 
 
 def test_streams_draw_from_the_policy():
     agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0)
     agent.policy[-1].weight.data *= 100
-    agent.begin_streams(20_000, CPU)
+    agent.begin_episodes(20_000, CPU)
     seen = torch.tensor([[0.5, -0.5]]).expand(20_000, 2)
     mask = torch.tensor([[True, True, False]]).expand(20_000, ACTIONS)
-    action = agent.act_streams(seen, mask, torch.arange(20_000))
+    action = agent.act(Moments(torch.arange(20_000), seen, mask))
     logits = agent.compute_preferences(np.array([0.5, -0.5], np.float32))[:2].astype(float)
     expected = np.exp(logits) / np.exp(logits).sum()
     found = np.bincount(action.numpy(), minlength=3) / 20_000
@@ -486,8 +495,7 @@ def test_decisions_of_options_arrive_through_a_vector_environment_with_their_dur
 
 def test_counts_of_a_batch_are_those_of_one_visit_after_another():
     space = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
-    settings = BonusSettings(bonus_weight=3.0)
-    one, many = (CountBonus(space, settings, "test") for _ in range(2))
+    one, many = (CountBonus(space, 3.0, 5, "test") for _ in range(2))
     rng = np.random.default_rng(0)
     for _ in range(3):
         batch = rng.random((50, 2)).astype(np.float32)

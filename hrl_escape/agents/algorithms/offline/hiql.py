@@ -17,12 +17,12 @@ from torch.nn.functional import cross_entropy
 
 from hrl_escape.agents.algorithms.offline.iql import MOST_WEIGHT, IQLSettings, expectile_loss
 from hrl_escape.agents.components.networks import Network, ObservationEncoder, make_network
-from hrl_escape.agents.components.offline import Decisions, OfflineAgent, Primitives
+from hrl_escape.agents.components.offline import OfflineAgent, Primitives, RecordedDecisions
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.errors import AgentSettingsError
 
 
-def cut_everywhere(data: Decisions, primitives: Primitives, gamma: float, actions: int) -> Decisions:
+def cut_everywhere(data: RecordedDecisions, primitives: Primitives, gamma: float, actions: int) -> RecordedDecisions:
     """Make a decision of what is left of an option at each of its primitives: that primitive, and the option's end.
 
     One row a primitive of the data; `action` is the primitive, one of `actions`, and reward, duration and discount are
@@ -55,7 +55,7 @@ class HIQL(OfflineAgent):
     reads_both: ClassVar[bool] = True
     settings: IQLSettings
 
-    def begin(self, data: Decisions, primitives: Primitives | None = None) -> None:
+    def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
         """Take decisions and the primitives inside them; `AgentSettingsError` without primitives."""
         if primitives is None:
             raise AgentSettingsError("data", "decisions alone", "a data set with the primitives inside its decisions")

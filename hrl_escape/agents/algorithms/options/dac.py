@@ -7,16 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.option_agent import OptionSettings
+from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.option_networks import SMALLEST, OptionChoices, StreamOptionAgent, mix_values
 from hrl_escape.agents.components.policy_gradient import (
-    ClippedSettings,
     Rollout,
     compute_advantages,
     compute_clipped_loss,
@@ -25,10 +24,61 @@ from hrl_escape.agents.components.policy_gradient import (
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class DACSettings(ClippedSettings, OptionSettings):
+@dataclass(frozen=True, kw_only=True)
+class DACSettings(AgentSettings):
     """Options, their terminations and the clipped updates of `dac`."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive; per decision if `discounting` is `decision`."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
+    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    bootstrap_on_truncation: bool = True
+    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
+    the paper's agents."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
+    the same work on the same experience."""
+    options: Annotated[int, Range(1)] = 4
+    """Options that are learned."""
+    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
+    """Probability of ending an option before anything is learned."""
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
+    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 0.5
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; Keras has 1e-7."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value error in the loss."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+    rollout: Annotated[int, Range(2)] = 256
+    """Decisions collected before each round of updates, of all streams together."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
+    epochs: Annotated[int, Range(1)] = 10
+    """Passes over a rollout."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in a minibatch of a rollout of `rollout` decisions."""
+    clip: Annotated[float, Range(0, open_low=True)] = 0.2
+    """Bound on how far the probability ratio may move to any advantage."""
+    normalise_advantages: bool = True
+    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
+    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the entropy of the choice of options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0

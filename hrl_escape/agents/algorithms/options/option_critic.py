@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import (
     compute_epsilon_greedy,
     compute_softmax,
@@ -23,16 +23,36 @@ from hrl_escape.agents.components.exploration import (
     mask_values,
     sample_index,
 )
-from hrl_escape.agents.components.option_agent import OptionAgent, OptionSettings
-from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
+from hrl_escape.agents.components.option_agent import OptionAgent
+from hrl_escape.agents.components.tables import make_discretiser
 from hrl_escape.agents.state import StateTree, pack_keys, unpack_keys
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class OptionCriticSettings(ResolutionSettings, OptionSettings):
+@dataclass(frozen=True, kw_only=True)
+class OptionCriticSettings(AgentSettings):
     """Options, step sizes and exploration of `option-critic`."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive; per decision if `discounting` is `decision`."""
+    discounting: Literal["primitive", "decision"] = "primitive"
+    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
+    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    bootstrap_on_truncation: bool = True
+    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
+    the paper's agents."""
+    clock: Literal["primitive", "decision"] = "primitive"
+    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
+    the same work on the same experience."""
+    options: Annotated[int, Range(1)] = 4
+    """Options that are learned."""
+    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
+    """Probability of ending an option before anything is learned."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
     critic_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
     """Step size of option values and of action values within options."""
     policy_rate: Annotated[float, Range(0)] = 0.25

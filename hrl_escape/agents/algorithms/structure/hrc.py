@@ -18,7 +18,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, DiscountSettings, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, AgentSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_index, sample_legal
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.state import Kept
@@ -45,10 +45,12 @@ TASK_END = -1
 """In place of a bit: the end of the task."""
 
 
-@dataclass(frozen=True)
-class HrcSettings(DiscountSettings):
+@dataclass(frozen=True, kw_only=True)
+class HrcSettings(AgentSettings):
     """Tries of an action, most bits that it needs, and the choice of interventions in `hrc`."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     tries: Annotated[int, Range(1)] = 1
     """Tries of an action after each intervention; more where actions may fail."""
     max_parents: Annotated[int, Range(0, 8)] = 2

@@ -9,12 +9,13 @@ chance makes it, and the worse is dropped, not at its first miss.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
+from hrl_escape.agents.agent import AgentSettings
+from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.settings import Range
 
@@ -124,10 +125,19 @@ class _Tests:
         return alive[np.argsort(np.round(self._code[alive], 6), kind="stable")]
 
 
-@dataclass(frozen=True)
-class MetRMaxSettings(FactoredRMaxSettings):
+@dataclass(frozen=True, kw_only=True)
+class MetRMaxSettings(AgentSettings):
     """Samples and error probability of the tests of `met-r-max`, beside hypotheses and search."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    max_parents: Annotated[int, Range(0, 8)] = 2
+    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    conditions: Literal["all-on", "any"] = "all-on"
+    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
+    (wherever every factor is a bit). `any`: each combination of their values."""
+    most_nodes: Annotated[int, Range(1)] = 20_000
+    """States that a search may expand; what it has not found by then it takes to be out of reach."""
     visits: Annotated[int, Range(1)] = 3
     """Samples that make a context known, and its forecasts count."""
     delta: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.05

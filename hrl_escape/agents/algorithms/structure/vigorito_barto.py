@@ -17,18 +17,29 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import MarkovRun, OptionPolicy, SMDPTransition
-from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
+from hrl_escape.agents.agent import AgentSettings, MarkovRun, OptionPolicy, SMDPTransition
+from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax
 from hrl_escape.agents.factored.search import ActionModel, ModelPlan, SearchTables, compile_action
 from hrl_escape.agents.factored.structure import GrowingSets, StructureLearner
 from hrl_escape.agents.factored.trees import TreeLearner, compile_trees
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class VigoritoBartoSettings(FactoredRMaxSettings):
+@dataclass(frozen=True, kw_only=True)
+class VigoritoBartoSettings(AgentSettings):
     """Trees, experiments and options of `vigorito-barto`, beside the search."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    max_parents: Annotated[int, Range(0, 8)] = 2
+    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    conditions: Literal["all-on", "any"] = "all-on"
+    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
+    (wherever every factor is a bit). `any`: each combination of their values."""
+    most_nodes: Annotated[int, Range(1)] = 20_000
+    """States that a search may expand; what it has not found by then it takes to be out of reach."""
+    visits: Annotated[int, Range(1)] = 3
+    """Samples of a context after which a variable gets its option; with `sets`, no more are then needed."""
     models: Literal["trees", "sets"] = "trees"
     """Models of an action's outcomes. `trees`: decision trees, and the experiment of the largest information gain.
     `sets`: sets of at most `max_parents` parents, told apart as `conditions` says, and the nearest experiment that
@@ -38,8 +49,6 @@ class VigoritoBartoSettings(FactoredRMaxSettings):
     least_gain: Annotated[float, Range(0)] = 0.3
     """Discounted information in nats, summed over outcomes, below which an experiment is not worth its way, and the
     task counts instead; with `trees`."""
-    visits: Annotated[int, Range(1)] = 3
-    """Samples of a context after which a variable gets its option; with `sets`, no more are then needed."""
 
 
 class Skill(NamedTuple):

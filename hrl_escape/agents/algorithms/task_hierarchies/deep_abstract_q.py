@@ -14,13 +14,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, count_actions
+from hrl_escape.agents.agent import Agent, AgentSettings, count_actions
 from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings, make_task_transition
+from hrl_escape.agents.hierarchy.runner import CallRunner, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
+from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 
@@ -28,10 +29,15 @@ Abstraction = Callable[[Any], Any]
 """From an observation to its abstract state: numbers, an array or a tuple of them."""
 
 
-@dataclass(frozen=True)
-class DeepAbstractQSettings(StackSettings):
+@dataclass(frozen=True, kw_only=True)
+class DeepAbstractQSettings(AgentSettings):
     """Settings of `deep-abstract-q`; workers are otherwise `dqn` or `q-learning` at their defaults."""
 
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     worker: Literal["network", "table"] = "network"
     """Learner of a step: `dqn`, or `q-learning`."""
     most_states: Annotated[int, Range(2)] = 64
@@ -179,7 +185,7 @@ class DeepAbstractQ(CallRunner):
         before, target = map(int, frame.context)
         if target < 0:
             return sample_legal(legal, self._action_rng)
-        return self._get_worker((before, target)).act(view, legal)
+        return serve_one(self._get_worker((before, target))).act(view, legal)
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
@@ -211,7 +217,7 @@ class DeepAbstractQ(CallRunner):
                 if returned.ended and not returned.terminated and before == after:  # given up
                     transition = transition._replace(terminated=False, truncated=True)
                 worker = self._get_worker((int(frame.context[0]), int(frame.context[1])))
-                metrics |= worker.observe(transition)
+                metrics |= serve_one(worker).observe(transition)
         return metrics | {"abstract_states": float(len(self._keys))}
 
     def _model(self, start: int, choice: int, reward: float, discount: float, after: int) -> None:

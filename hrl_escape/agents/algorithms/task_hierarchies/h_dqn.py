@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import AgentSettings, count_actions
+from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.exploration import (
-    EpsilonSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -26,26 +26,56 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.networks import (
     Learner,
-    NetworkSettings,
     ObservationEncoder,
     compute_td_loss,
     make_generator,
     make_network,
 )
-from hrl_escape.agents.components.replay import Experience, ReplayBuffer
-from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_discretiser
+from hrl_escape.agents.components.replay import Experience, Replay, make_batch
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.goal_space import GoalSet, Worker, make_goal_hierarchy, make_goals
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import Return, Seen, Stack, Step
 from hrl_escape.agents.state import Stateful
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class HDqnSettings(StackSettings, EpsilonSettings, ResolutionSettings, NetworkSettings):
+@dataclass(frozen=True, kw_only=True)
+class HDqnSettings(AgentSettings):
     """Settings of `h-dqn`; epsilon is the manager's."""
 
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; Keras has 1e-7."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     values: Literal["network", "table"] = "network"
     """Networks over the observation and a one-hot goal, or tables over rounded observations."""
     patience: Annotated[int, Range(0)] = 100
@@ -210,7 +240,7 @@ class _NetworkValues(Stateful):
         self._target.requires_grad_(False).blend(self.online, 1.0)
         self._learner = Learner("h-dqn", {"online": self.online, "target": self._target}, ["online"], settings)
         shape = (self._encoder.shape[0] + goals,) if goals else self._encoder.shape
-        self._replay = ReplayBuffer(settings.replay_capacity, shape, self._encoder.dtype, actions)
+        self._replay = Replay(Arrays(rng), settings.replay_capacity, shape, self._encoder.dtype, actions)
         self._rng, self._due = rng, 0.0
         self.waits = False
         """Backups are stored, and updates left for later."""
@@ -227,10 +257,10 @@ class _NetworkValues(Stateful):
         return self.online.compute(self._encode(observation, goal)) / self._settings.reward_scale
 
     def learn(self, backup: Experience, goal: int | None) -> float:
-        self._replay.add(backup._replace(
+        self._replay.add(make_batch(backup._replace(
             observation=self._encode(backup.observation, goal), mask=True,
             reward=backup.reward * self._settings.reward_scale,
-            next_observation=self._encode(backup.next_observation, goal)))
+            next_observation=self._encode(backup.next_observation, goal))))
         self._due += self._settings.updates_per_decision
         return 0.0 if self.waits else self.update()
 
@@ -241,7 +271,7 @@ class _NetworkValues(Stateful):
             self._due -= due
             count = min(due, most or due)
             for _ in range(count):
-                batch = self._replay.sample(size * due // count, self._rng)
+                batch = self._replay.sample(size * due // count)
                 loss = self._learner.minimise(self._compute_loss(batch))
                 self._target.blend(self.online, self._settings.target_rate)
         return loss

@@ -15,10 +15,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import AgentSettings, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
-from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.components.tables import make_discretiser
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_graph, get_task
 from hrl_escape.agents.state import Kept
@@ -43,10 +43,17 @@ _Met = dict[tuple[bytes, int], list[Sampled]]
 """(state, primitive) -> outcomes met, where no simulator is given."""
 
 
-@dataclass(frozen=True)
-class HUctSettings(StackSettings, ResolutionSettings):
+@dataclass(frozen=True, kw_only=True)
+class HUctSettings(AgentSettings):
     """Size of the searches of `h-uct`, and how they explore."""
 
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     polled: Literal["never", "evaluation", "always"] = "always"
     """Plan from the root again at each primitive, instead of letting calls come to their end: never, in evaluation
     only, or always."""

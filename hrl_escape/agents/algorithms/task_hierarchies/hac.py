@@ -7,17 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import AgentSettings, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
-from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
@@ -26,10 +26,20 @@ END = -1
 """Goal of the root where the episode names none: that the episode ends in the task's sense."""
 
 
-@dataclass(frozen=True)
-class HacSettings(StackSettings, ResolutionSettings):
+@dataclass(frozen=True, kw_only=True)
+class HacSettings(AgentSettings):
     """Settings of `hac`; `gamma` discounts once for each choice of a level."""
 
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     levels: Annotated[int, Range(2, 4)] = 2
     """Levels, the one that chooses primitives included."""
     attempts: Annotated[int, Range(1)] = 5

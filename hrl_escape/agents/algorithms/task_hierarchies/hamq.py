@@ -11,20 +11,26 @@ import ast
 import functools
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import DiscountSettings, OptionPolicy, RunningCall, SMDPTransition, count_actions
+from hrl_escape.agents.agent import (
+    AgentSettings,
+    OptionPolicy,
+    RunningCall,
+    SMDPTransition,
+    count_actions,
+)
 from hrl_escape.agents.components.exploration import (
     choose_best,
     compute_epsilon,
     make_rng,
     sample_action,
 )
-from hrl_escape.agents.components.tables import TabularSettings, ValueTable, make_discretiser
+from hrl_escape.agents.components.tables import ValueTable, make_discretiser
 from hrl_escape.agents.hierarchy.machine import (
     Choose,
     Do,
@@ -42,15 +48,43 @@ from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.state import Kept
 from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import StepContractError
+from hrl_escape.settings import Range
 
 MOST_INTERNAL = 10_000
 """Bound on choices without a primitive between them; more is a program that never acts."""
 
 
-@dataclass(frozen=True)
-class HamqSettings(DiscountSettings, TabularSettings):
+@dataclass(frozen=True, kw_only=True)
+class HamqSettings(AgentSettings):
     """Rates, exploration and discount of `hamq`, and whether choices without a primitive between share a value."""
 
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
+    proportional to exp(q / temperature)."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
+    likely. 0 sets no bound."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
+    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    initial_value: float = 0.0
+    """Value of actions that were never tried, in units of return."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     internal: bool = False
     """Remember which choice point follows a choice that no primitive comes after, and use its value in place of an own
     one (HAMQ-INT)."""

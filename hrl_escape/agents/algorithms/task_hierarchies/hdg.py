@@ -15,15 +15,14 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import MarkovRun, OptionPolicy, SMDPTransition, count_actions
+from hrl_escape.agents.agent import AgentSettings, MarkovRun, OptionPolicy, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
-    EpsilonSettings,
     choose_best,
     compute_epsilon,
     make_rng,
     sample_legal,
 )
-from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
+from hrl_escape.agents.components.tables import make_discretiser
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import RowStreamAgent
@@ -45,10 +44,21 @@ class Landmarks:
                 raise AgentSettingsError("Landmarks.region", state, f"{number}, its own region, for landmark {number}")
 
 
-@dataclass(frozen=True)
-class HdgSettings(ResolutionSettings, EpsilonSettings):
+@dataclass(frozen=True, kw_only=True)
+class HdgSettings(AgentSettings):
     """Rates of distances in `hdg`, aims on far ways, and the rounding of states where no landmarks are given."""
 
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive of what is logged; distances are counted in primitives, without discount."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import AgentSettings, count_actions
 from hrl_escape.agents.components.exploration import (
-    EpsilonSettings,
     choose_best,
     compute_epsilon,
     compute_softmax,
@@ -25,18 +24,34 @@ from hrl_escape.agents.components.exploration import (
     sample_index,
     sample_legal,
 )
-from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_cell_finder
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import BaseTask, Decision, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class HiroSettings(StackSettings, ResolutionSettings, EpsilonSettings):
+@dataclass(frozen=True, kw_only=True)
+class HiroSettings(AgentSettings):
     """Settings of `hiro`; epsilon is the manager's, and the worker explores by its softmax."""
 
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     window: Annotated[int, Range(1)] = 10
     """c, primitives for which a goal holds."""
     worker_gamma: Annotated[float, Range(0, 1)] = 0.95

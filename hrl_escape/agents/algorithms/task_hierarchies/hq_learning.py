@@ -15,11 +15,10 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import DiscountSettings, SMDPTransition, count_actions
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_index
 from hrl_escape.agents.components.tables import (
     QTable,
-    ResolutionSettings,
     TabularSettings,
     ValueTable,
     make_discretiser,
@@ -29,10 +28,17 @@ from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class HqLearningSettings(DiscountSettings, ResolutionSettings):
+@dataclass(frozen=True, kw_only=True)
+class HqLearningSettings(AgentSettings):
     """Settings of `hq-learning`; defaults are those of the paper's key-and-door maze."""
 
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     epsilon_start: Annotated[float, Range(0, 1)] = 0.6
     """Epsilon at the beginning; the paper's p_max is 1 - epsilon."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.2

@@ -8,25 +8,55 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.tables import QTable, TabularSettings, make_cell_finder
+from hrl_escape.agents.agent import AgentSettings, count_actions
+from hrl_escape.agents.components.tables import QTable, make_cell_finder
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalTask, make_goal_space
-from hrl_escape.agents.hierarchy.runner import StackSettings, TabularRunner
+from hrl_escape.agents.hierarchy.runner import TabularRunner
 from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Columns, Stateful
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class OptionKeyboardSettings(StackSettings, TabularSettings):
+@dataclass(frozen=True, kw_only=True)
+class OptionKeyboardSettings(AgentSettings):
     """Settings of `option-keyboard`; exploration is the player's, and within a chord a share of it."""
 
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
+    proportional to exp(q / temperature)."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
+    likely. 0 sets no bound."""
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
+    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    initial_value: float = 0.0
+    """Value of actions that were never tried, in units of return."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     patience: Annotated[int, Range(1)] = 50
     """Primitives after which a chord without an event is released."""
     chord_epsilon: Annotated[float, Range(0, 1)] = 0.1
@@ -38,7 +68,7 @@ class SuccessorTable(Stateful):
 
     STATE = (Columns({"values": "_values"}),)
 
-    def __init__(self, events: int, actions: int, settings: TabularSettings) -> None:
+    def __init__(self, events: int, actions: int, settings: Any) -> None:
         self._shape, self._rate = (events, actions, events), settings.learning_rate
         self._values: dict[bytes, NDArray[np.float64]] = {}
 

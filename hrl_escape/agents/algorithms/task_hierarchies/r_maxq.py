@@ -9,16 +9,16 @@ from __future__ import annotations
 import ast
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import AgentSettings, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
-from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.components.tables import make_discretiser
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, get_graph, get_task
 from hrl_escape.agents.state import Kept
@@ -31,10 +31,20 @@ LEAK = 1e-10
 """Share of a task's steps that end it nowhere, so that a policy that never ends has a finite, hopeless value."""
 
 
-@dataclass(frozen=True)
-class RMaxqSettings(StackSettings, ResolutionSettings):
+@dataclass(frozen=True, kw_only=True)
+class RMaxqSettings(AgentSettings):
     """Samples that make a pair known to `r-maxq`, and bounds of its models."""
 
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes are deterministic."""
     optimistic_value: float = 100.0

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -17,26 +17,48 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.agent import AgentSettings, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.components.policy_gradient import (
-    PolicySettings,
     compute_entropy,
     compute_log_policy,
     take_column,
 )
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
-from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 
-@dataclass(frozen=True)
-class SolSettings(StackSettings, PolicySettings):
+@dataclass(frozen=True, kw_only=True)
+class SolSettings(AgentSettings):
     """Settings of `sol`."""
 
+    hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
+    """Units of each hidden layer."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
+    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 0.5
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
+    """Term in Adam's denominator; Keras has 1e-7."""
+    scale_observations: bool = True
+    """Map components with finite bounds in the observation space to [-1, 1]."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
+    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value error in the loss."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
     longest: Annotated[int, Range(1)] = 32
     """Most primitives of an option; the controller chooses among the powers of 2 up to it."""
     rollout: Annotated[int, Range(2)] = 128

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.agents.components.offline import Decisions
+from hrl_escape.agents.components.offline import RecordedDecisions
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -20,13 +20,13 @@ __all__ = ["Coverage", "cover_room", "make_decisions"]
 class Coverage(NamedTuple):
     """Decisions whose observations are numbers of states, the first of them the starts, and the number of actions."""
 
-    decisions: Decisions
+    decisions: RecordedDecisions
     states: int
     actions: int
     starts: int
 
 
-def make_decisions(rows: list[dict[str, Any]], gamma: float, actions: int) -> Decisions:
+def make_decisions(rows: list[dict[str, Any]], gamma: float, actions: int) -> RecordedDecisions:
     """Decisions from rows of state, action, rewards, next state and whether it ends; each a trajectory of its own."""
     count, rewards = len(rows), [row["rewards"] for row in rows]
     legal = np.zeros((max(max(row["state"], row["next"]) for row in rows) + 1, actions), np.bool_)
@@ -35,7 +35,7 @@ def make_decisions(rows: list[dict[str, Any]], gamma: float, actions: int) -> De
     state, after = (np.array([row[name] for row in rows]) for name in ("state", "next"))
     over = np.array([row["over"] for row in rows])
     discounted = np.array([sum(gamma**i * r for i, r in enumerate(each)) for each in rewards])
-    return Decisions(
+    return RecordedDecisions(
         state, np.array([row["action"] for row in rows]), legal[state], discounted, np.array(list(map(sum, rewards))),
         np.array(list(map(len, rewards))), np.array([gamma ** len(each) for each in rewards]), after, legal[after],
         over, np.ones(count, np.bool_), np.arange(count), np.zeros(count, np.int64))

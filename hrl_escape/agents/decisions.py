@@ -1,0 +1,162 @@
+"""Decisions in batches of n, and policies, which make them without learning.
+
+In one environment n is 1, and batches are NumPy arrays. In many environments batches are tensors on their device. Each
+row of a batch names its environment, because decisions end at different times.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class SMDPTransition(NamedTuple):
+    """One decision and its outcome.
+
+    Attributes:
+        observation: at the decision, as the environment gave it.
+        action: index in the action space.
+        action_mask: bool (actions,), the actions legal there.
+        reward: R = sum over i < k of gamma^i r_i, at the agent's gamma.
+        summed_reward: the undiscounted sum of r_i.
+        duration: k >= 1, the number of primitives that ran.
+        discount: gamma^k.
+        next_observation: the state reached, never the first of a new episode.
+        next_action_mask: bool (actions,), the actions legal there.
+        terminated: the task ended; later rewards are zero.
+        truncated: the episode was cut off; the state reached still has a value.
+        trace: the primitives inside, where the environment gives them (see `make_transition`), else empty.
+        cut: truncated inside an option, so that the state reached is not where the option leads.
+    """
+
+    observation: Any
+    action: int
+    action_mask: NDArray[np.bool_]
+    reward: float
+    summed_reward: float
+    duration: int
+    discount: float
+    next_observation: Any
+    next_action_mask: NDArray[np.bool_]
+    terminated: bool
+    truncated: bool
+    trace: Sequence[Any] = ()
+    cut: bool = False
+
+
+class Moments(NamedTuple):
+    """n moments at which an action is chosen."""
+
+    env: Any  # int64 (n,), environment of each row; no environment has two rows
+    observation: Any  # tensor (n, ...), or a sequence of n observations of any space
+    action_mask: Any  # bool (n, actions), the legal actions
+
+
+class Decisions(NamedTuple):
+    """n decisions and their outcomes; see `SMDPTransition` for the fields."""
+
+    env: Any  # int64 (n,), environment of each row; no environment has two rows
+    observation: Any  # tensor (n, ...), or a sequence of n observations of any space
+    action_mask: Any  # bool (n, actions)
+    action: Any  # int64 (n,)
+    reward: Any  # float32 (n,), R = sum over i < k of gamma^i r_i at the agent's gamma
+    summed_reward: Any  # float32 (n,)
+    duration: Any  # int64 (n,), k
+    discount: Any  # float32 (n,), gamma^k
+    next_observation: Any  # as `observation`; the state reached, never the first of a new episode
+    next_action_mask: Any  # bool (n, actions)
+    terminated: Any  # bool (n,)
+    truncated: Any  # bool (n,)
+    trace: Sequence[Any] = ()  # of one environment, the primitives inside each decision, where it gives them
+
+
+_ONLY = np.zeros(1, np.int64)
+
+
+def make_moment(observation: Any, action_mask: NDArray[np.bool_]) -> Moments:
+    """Return the batch of one moment of one environment; the mask is (actions,)."""
+    return Moments(_ONLY, (observation,), action_mask[None])
+
+
+def make_decision(one: SMDPTransition) -> Decisions:
+    """Return the batch of one decision of one environment."""
+    numbers = np.array((one.reward, one.summed_reward, one.discount), np.float32)
+    return Decisions(_ONLY, (one.observation,), one.action_mask[None], np.array((one.action,)), numbers[:1],
+                     numbers[1:2], np.array((one.duration,)), numbers[2:], (one.next_observation,),
+                     one.next_action_mask[None], np.array((one.terminated,)), np.array((one.truncated,)),
+                     (one.trace,))
+
+
+class Policy(ABC):
+    """Choice of actions without learning, with the memory of the episodes that run.
+
+    It shares its parameters with the agent that made it. Several policies of one agent run episodes side by side.
+    """
+
+    is_markov: bool = True
+    """The choice is a function of the observation and the legal actions: nothing is drawn or remembered."""
+
+    @abstractmethod
+    def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
+        """Begin an episode in every environment; a random policy draws from `rng`."""
+
+    @abstractmethod
+    def act(self, batch: Moments) -> Any:
+        """Choose actions, int64 (n,)."""
+
+    def note_outcome(self, transition: SMDPTransition) -> None:  # noqa: B027
+        """Take in the outcome of the latest choice in one environment; by default it is ignored.
+
+        Hierarchical policies count the primitives of a call.
+        """
+
+    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Choose in one environment; the mask is bool (actions,)."""
+        return int(self.act(make_moment(observation, action_mask))[0])
+
+
+class AgentPolicy(Policy):
+    """Policy of an agent that has `act_greedy`."""
+
+    def __init__(self, agent: Any) -> None:
+        self._agent, self.is_markov = agent, agent.is_markov
+        self._memory: tuple[Any, ...] | None = None
+        self._rng = np.random.default_rng(0)
+
+    def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
+        """Forget the episode."""
+        assert num_envs == 1, "one environment"
+        self._rng, self._memory = rng, None
+
+    def act(self, batch: Moments) -> Any:
+        """Choose in one environment."""
+        return np.array((self.choose(batch.observation[0], batch.action_mask[0]),))
+
+    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Choose in one environment."""
+        with _Episode(self):
+            return self._agent.act_greedy(observation, action_mask, self._rng)
+
+    def note_outcome(self, transition: SMDPTransition) -> None:
+        """Pass the outcome on."""
+        with _Episode(self):
+            self._agent.note_outcome(transition, self._rng)
+
+
+class _Episode:
+    """Puts the memory of a policy's episode in place while its agent is asked: an agent remembers one episode."""
+
+    def __init__(self, policy: AgentPolicy) -> None:
+        self._policy = policy
+
+    def __enter__(self) -> None:
+        agent, policy = self._policy._agent, self._policy
+        self._before, agent._evaluation = agent._evaluation, policy._memory
+
+    def __exit__(self, *_: object) -> None:
+        agent, policy = self._policy._agent, self._policy
+        policy._memory, agent._evaluation = agent._evaluation, self._before
