@@ -69,7 +69,7 @@ def test_scores_are_those_of_the_measurements(tmp_path):
     assert lines[1] == "fields,empty,a,exit,True,11,10,30,5,2,8,12"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_everything_that_plans_is_a_contender():
     assert list_contenders() == (AUTO, FIELDS, *list_planners(), *(name + PATH for name in list_planners()))
     rows = measure(make_queries("interior walls", range(1), 1), list_contenders())
@@ -92,7 +92,7 @@ def test_a_room_costs_more_at_first_and_least_for_a_goal_that_it_knows():
     assert sum(row.cold_ms > row.new_ms > row.milliseconds for row in rows) >= 4
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_auto_finds_is_what_one_of_its_two_ways_finds():
     for floor in ("10 obstacles", "places, 10 obstacles"):
         rows = measure(make_queries(floor, range(1), 3), (AUTO, FIELDS, "RRTConnect"))

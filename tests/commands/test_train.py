@@ -30,7 +30,7 @@ def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys
     assert {"run.json", "log.jsonl", "checkpoint.npz"} <= {path.name for path in (tmp_path / "run").iterdir()}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     command = [PROGRAM, "train", "smdp-q-learning", "--eval-episodes", "1", "--eval-every", "500", "--out", "run"]
     log = tmp_path / "run" / "log.jsonl"
@@ -96,7 +96,7 @@ def heed_ctrl_c():
 SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "changes0-flavour: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
     "changes2-seed: 0 there, 1 now")
 @pytest.mark.parametrize(("changes", "field"), [

@@ -54,7 +54,7 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
     assert grid.agents[1].resolve_settings()["gamma"] == 0.999
 
 
-@pytest.mark.in_turn_for("ladder")
+@pytest.mark.nightly_for("ladder")
 @pytest.mark.parametrize("grid", [*GRIDS.values(), SMALL], ids=lambda grid: grid.name)
 def test_a_grid_survives_json_and_makes_all_its_runs(grid: Grid):
     assert Grid.from_dict(grid.to_dict()) == grid

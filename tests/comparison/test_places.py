@@ -40,7 +40,7 @@ def finished(tmp_path_factory) -> Comparison:
     return run_quietly(grid, folder / "out", LocalLauncher(1))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_room(finished: Comparison):
     assert not finished.failures
     (place,) = finished.places
@@ -55,7 +55,7 @@ def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_roo
     assert by_name["smdp-random"].get_final("efficiency") < 1.0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learners_are_tested_in_rooms_they_trained_in_too(finished: Comparison):
     (place,) = finished.places
     for run, result in finished.runs:

@@ -67,14 +67,14 @@ def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: st
     assert found.successes == (True,) and found.progress == (1.0,)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_planner_makes_a_new_plan_where_noise_leads_it_away():
     noisy = dataclasses.replace(CHAIN, dynamics=dataclasses.replace(CHAIN.dynamics, noise=0.1, slip=0.05))
     found, _ = play(PLANNER, noisy, episodes=1)
     assert found.successes == (True,)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_references_run_in_a_comparison_without_training(tmp_path: Path):
     comparison = run_quietly(change(agents=(INDEX_ORDER, PLANNER, "smdp-random"), primitives=200), tmp_path)
     assert not comparison.failures

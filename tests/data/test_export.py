@@ -50,7 +50,7 @@ def test_ogbenchs_own_loader_gives_the_transitions(tmp_path):
     assert np.array_equal(found["actions"], whole.action[kept])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_minari_reads_both_sets_recovers_their_environments_and_normalises_scores(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")

@@ -79,7 +79,7 @@ def test_stitched_trajectories_have_one_or_two_decisions_and_never_lead_from_sta
     assert (data.last & ~data.terminated).sum() > 4 * data.terminated.sum() > 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_pictures_are_replayed_by_the_engine_that_took_them():
     tape = make_tape("expert", primitives=100)
     data = load_data(tape, observation="pixels").read()

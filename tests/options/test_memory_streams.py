@@ -36,7 +36,7 @@ def recall(history, lit):
     return found
 
 
-@pytest.mark.in_turn_for("1-reset")
+@pytest.mark.nightly_for("1-reset")
 @pytest.mark.parametrize(("count", "rule"), [(1, "reset"), (64, "ignore")])
 def test_every_room_remembers_its_own_decisions(count, rule):
     streams, rng = MemoryStreams(make_streams(count, rule)), np.random.default_rng(0)

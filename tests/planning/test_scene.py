@@ -80,7 +80,7 @@ def check_edits(preset: str, edits: int, *, executed_every: int, compared_every:
     return executed
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_fifty_edits_plan_as_a_new_planner_would_and_come_true():
     assert check_edits("clutter", 50, executed_every=10, compared_every=5) >= 3
 

@@ -55,7 +55,7 @@ def fit(runs: list[EscapeRun]):
     return fit_growth(runs, np.random.default_rng(0))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
     growth = fit(make_runs(lambda n: 20 * n**1.6))
     assert growth is not None and growth.low < 1.6 < growth.high and growth.high - growth.low < 0.4
@@ -71,7 +71,7 @@ def test_half_of_the_runs_is_enough_to_reach_a_size_although_their_median_is_inf
     assert find_reach(half) == 12 and not list_times(half)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_exponential_is_told_from_a_power_law():
     growth = fit(make_runs(lambda n: 30 * 1.4**n))
     assert growth is not None and growth.power < 0.01
@@ -134,7 +134,7 @@ def test_the_headline_says_who_arrives(largest, sentence):
     assert tell_reach(largest, WORDS, 20) == sentence
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
     agents = list(find_study("buttons").data["agents"])
     runs = [run for agent in agents for run in make_runs(lambda n: 9 * n**1.2, agent)]

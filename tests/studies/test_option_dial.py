@@ -26,7 +26,7 @@ def curve():
     return {failure: press(150, failure=failure) for failure in (0.0, 0.25, 0.5, 0.75, 1.0)}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_call_is_worth_its_discount_where_it_arrives_and_nothing_elsewhere(curve):
     assert curve[0.0] == pytest.approx(np.full(150, WHOLE)) and not curve[1.0].any()
     assert set(np.round(curve[0.5], 9)) == {0.0, round(WHOLE, 9)}

@@ -96,7 +96,7 @@ def test_a_truth_in_which_no_part_pays():
     assert "is not shown to need more or fewer primitives than" in abstract[7]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_truth_in_which_only_commitment_pays():
     finding, abstract = write(make_runs({"commitment": lambda n: 6.0}))
     assert finding.startswith("What pays is commitment (up to ")
@@ -119,7 +119,7 @@ def test_a_truth_in_which_only_structure_pays_and_lowers_the_exponent():
     assert f", {len(kept)} of these again in fresh rooms" in fresh[0] and ", none of these again in fresh" in fresh[1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_truth_in_which_all_parts_add():
     finding, abstract = write(make_runs({"commitment": lambda n: 3.0, "geometry": lambda n: 5.0,
                                          "memory": lambda n: 2.0, "structure": lambda n: 2.0}))
@@ -162,7 +162,7 @@ def test_fresh_rooms_are_said_to_give_exponents_again_only_where_they_do():
     assert "In the first rooms no part lowered an exponent; here" in tell_again([first, second], there)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_part_that_costs_is_said_to():
     finding, abstract = write(make_runs({"memory": lambda n: 0.25}))
     assert "memory" in finding and "pays is" not in finding
@@ -246,7 +246,7 @@ def test_laws_are_told_apart():
     assert (tell_law(power), tell_law(steep), tell_law(None)) == ("power law", "exponential", "too few sizes")
 
 
-@pytest.mark.in_turn_for("10.0-0.9")
+@pytest.mark.nightly_for("10.0-0.9")
 @pytest.mark.parametrize(("gain", "expected"), [(0.5, 0.0), (10.0, 0.9), (1000.0, 1.0)])
 def test_the_exchange_rate_is_where_the_gain_is_gone(gain: float, expected: float):
     runs = make_runs({"structure": lambda n: gain}, spread=0.05)
@@ -348,7 +348,7 @@ def test_every_cell_escapes_from_a_small_room(walks):
     assert found.first_escape is not None and found.near_best is None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_learner_comes_near_the_best():
     found = play_cell(Cell("planned", structure=True), SETTINGS, make_small(buttons=2), 1, 5_000, 10_000, 5_000)
     assert found.near_best is not None and found.first_escape == found.near_best, "every escape is near so lax a best"

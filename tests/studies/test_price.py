@@ -295,7 +295,7 @@ def test_numbers_have_two_digits_and_all_before_the_point(value: float, told: st
 # --- rooms and runs ------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_rooms_are_relabelled_chains_in_which_presses_can_be_efficient():
     orders = set()
     for buttons in BUTTON_COUNTS:

@@ -315,7 +315,7 @@ def test_an_option_is_imagined_up_to_the_touch_or_the_way_in_that_has_not_happen
     assert late[-1].reward > 0 and imagine(pressed, leave)[-1].reward == late[-1].reward * agent.settings.reward_scale
 
 
-@pytest.mark.in_turn_for("random ways", "options")
+@pytest.mark.nightly_for("random ways", "options")
 @pytest.mark.parametrize("looks_along", WAYS)
 def test_a_learner_that_looks_ahead_imagines_as_many_primitives_as_it_runs(room, model, looks_along):
     agent = make_lookahead(looks_along, room, model, 0, {"warmup": 10**6})

@@ -134,7 +134,7 @@ def test_values_of_options_come_near_the_exact_ones_with_the_default_support():
     assert RainbowSettings().bounds == pytest.approx((-100, 100))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_support_of_clipped_games_saturates_here():
     assert learn_path(lowest_return=-10.0, highest_return=10.0).max() < 11 < 40 < solve(PATH, 0.9).max()
 

@@ -39,7 +39,7 @@ def assert_equal_tables(table, exact, tolerance):
     assert table[legal] == pytest.approx(exact[legal], abs=tolerance)
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "0-True-IntraOptionQ", "1-True-IntraOptionQ", "2-True-IntraOptionQ", "0-False-IntraOptionQ", "0-True-QLearning",
     "1-False-IntraOptionQ", "1-True-QLearning", "2-True-QLearning")
 @pytest.mark.parametrize("agent_class", [QLearning, IntraOptionQ])
@@ -65,7 +65,7 @@ class GiveTrace(gymnasium.Wrapper):
         return observation, reward, terminated, truncated, info
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_stochastic_smdps_are_solved_in_the_limit():
     smdp = make_random_smdp(5, states=4, actions=3)
     env = SmdpEnv(smdp, start=None)
@@ -196,7 +196,7 @@ def test_an_environment_without_traces_is_refused_with_the_way_out():
         learn(agent, env, 50)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_intra_option_learning_needs_less_experience_than_option_by_option():
     def solved_share(agent_class):
         env = ButtonGrid(trace=True)
@@ -210,7 +210,7 @@ def test_intra_option_learning_needs_less_experience_than_option_by_option():
 # --- Taxi -------------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_greedy_q_learning_on_taxi_is_exactly_optimal():
     """7.93 is the mean over the 300 starts of the best return, each found by breadth-first search (below)."""
     env = gymnasium.make("Taxi-v4").unwrapped

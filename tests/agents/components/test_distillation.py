@@ -105,7 +105,7 @@ def test_an_agent_with_distillation_resumes_to_the_last_bit(name: str):
     assert runs[0] == runs[1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_distillation_finds_the_end_of_a_corridor_without_rewards_that_chance_does_not():
     states = 24
 

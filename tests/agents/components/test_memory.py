@@ -131,7 +131,7 @@ def test_many_environments_and_one_remember_the_same():
         assert one._latest == pytest.approx(lived[0].detach().numpy(), abs=1e-6)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_memory_keeps_the_contract_of_agents():
     check_agent(PPO, PPOSettings(**SMALL | {"epochs": 2, "batch_size": 16}), decisions=200)
 
@@ -151,7 +151,7 @@ def test_with_a_memory_the_t_maze_is_solved_to_the_optimum(seed):
     assert found.mean_return == pytest.approx(TMaze.BEST) and set(found.lengths) == {CORRIDOR + 1}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_one_nobody_beats_a_guess():
     assert train_mazes(0, "none").mean_return <= TMaze.FORGETFUL + 0.25
 

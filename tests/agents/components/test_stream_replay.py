@@ -98,7 +98,7 @@ EXACT = {
 }
 
 
-@pytest.mark.in_turn_for("r-max")
+@pytest.mark.nightly_for("r-max")
 @pytest.mark.parametrize("name", [pytest.param("dqn", marks=pytest.mark.slow), "sarsa", "q-learning", "r-max"])
 def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name):
     def make():

@@ -101,7 +101,7 @@ def flatten(tree, where=""):
     return {where: repr(tree.item() if isinstance(tree, np.generic) else tree)}
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "torchrl-dqn-corrected", "torchrl-sac-corrected", "dac-corrected", "dqn-paper", "vigorito-barto-corrected",
     "sarsa-corrected-changed")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
@@ -135,7 +135,7 @@ TREES = st.dictionaries(
 )
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=25)
 @given(tree=TREES)
 def test_any_state_tree_survives_a_checkpoint(tmp_path_factory, tree):
@@ -185,7 +185,7 @@ def read_log(folder):
     return [{key: value for key, value in row.items() if not key.startswith("time/")} for row in rows]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "rainbow-corrected", "factored-r-max-corrected", "monte-carlo-model-corrected", "a2oc-corrected",
     "fun-corrected", "sarsa-corrected", "met-r-max-corrected", "dqn-corrected-changed", "ppo-corrected-changed")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
@@ -229,7 +229,7 @@ def count_rows(folder):
     return log.read_bytes().count(b"\n") if log.exists() else 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
     pieces, whole = tmp_path / "pieces", tmp_path / "whole"
     chance = random.Random(0)
@@ -462,7 +462,7 @@ def test_an_unfinished_run_has_no_result_yet(tmp_path):
         load_result(tmp_path)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=20)
 @given(decisions=st.integers(0, 60), seed=st.integers(0, 3), variant=st.sampled_from(VARIANTS))
 def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_factory, decisions, seed, variant):

@@ -109,7 +109,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert code == 2 and "no rung was run here" in err
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
     make_manifest().save(tmp_path / "mine.json")
     options = ["--protocol", "per-instance", "--rooms", "1", "--runs", "1", "--primitives", "10", "--eval-episodes",
@@ -120,7 +120,7 @@ def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
     assert place.instance == Benchmark(make_manifest())["one"].test[0] and place.name.endswith("one/test[0]")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     options = ["--from", "doormat", "--protocol", "transfer"]
     budget = ["--rung", "pair", "--rooms", "1", "--train-sizes", "1", "--runs", "1", "--primitives", "10",
@@ -160,7 +160,7 @@ def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
     assert code == 0 and "1.00 (1.00)" in told and (out / "per-instance/profile.svg").stat().st_size > 5_000
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     options = ["run", "smdp-random+no-primitives", "planner", "--rung", "doormat", "--rooms", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]

@@ -24,7 +24,7 @@ load_once = cache(load_pretrained)
 AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent in agents]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "ladder-1/chain-smdp-factored-r-max+no-primitives", "ladder-1/chain-3-smdp-ppo+objects+memory+no-primitives",
     "ladder-1/chain-3-smdp-q-learning+no-primitives", "ladder-1/clutter-smdp-factored-r-max+no-primitives",
     "ladder-1/code-smdp-r-max+no-primitives", "ladder-1/house-smdp-factored-r-max+three-parents+no-primitives",

@@ -59,7 +59,7 @@ def test_velocities_move_the_batch_as_the_scalar_rules(name):
     assert found.worst < 1e-9
 
 
-@pytest.mark.in_turn_for("blocks-world-1", "door-key-2", "sokoban-3")
+@pytest.mark.nightly_for("blocks-world-1", "door-key-2", "sokoban-3")
 @pytest.mark.parametrize(("preset", "seed"), [("taxi", 0), ("blocks-world", 1), ("door-key", 2), ("sokoban", 3)])
 def test_a_plan_that_grips_or_pushes_played_as_velocities_leads_to_the_same_states(preset, seed):
     planner, velocities = RoomPlanner(generate(get_preset(preset), seed)), Velocities(speed=5.0, turn_speed=4.0)

@@ -58,7 +58,7 @@ def encode(form, puzzles, states):
     return torch.tensor([as_signed(form.encode(*pair)) for pair in zip(puzzles, states, strict=True)])
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "potions, three features", "blocks-world", "buttons", "buttons, dead ends", "bit-flip", "lights-out",
     "lights-out 4 x 6", "hanoi", "recipes", "code-lock", "light-box", "light-box, sure", "deep-sea", "pin-pad",
     "potions", "factored", "factored, sure", "foraging", "taxi")

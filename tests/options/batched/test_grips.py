@@ -66,7 +66,7 @@ def is_grip(goal):
     return isinstance(goal, GripGoal)
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "whole-towers", "whole-towers by hand", "with ancestors-towers", "with ancestors-towers by hand",
     "with ancestors-two and three blocks", "worse-taxi", "worse-foraging", "worse-towers", "worse-towers by hand",
     "worse-two and three blocks", "interrupted-towers", "interrupted-towers by hand",
@@ -159,7 +159,7 @@ def test_acts_are_possible_and_done_where_the_planner_says_so(name):
     assert len(aims.can[0]) == len({len(room.targets) for room in rooms}), "towers of as many blocks share a table"
 
 
-@pytest.mark.in_turn_for("towers by hand-False", "foraging-False", "towers-False")
+@pytest.mark.nightly_for("towers by hand-False", "foraging-False", "towers-False")
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROOMS)
 def test_the_planners_order_of_grips_and_releases_escapes(name, compiled):
@@ -204,7 +204,7 @@ def test_a_slip_while_gripping_is_gripped_again():
     assert made > 100
 
 
-@pytest.mark.in_turn_for("config1-more than 20,000 states")
+@pytest.mark.nightly_for("config1-more than 20,000 states")
 @pytest.mark.parametrize(("config", "message"), [
     (get_preset("taxi", fickle=True), "they watch every primitive"),
     (get_preset("blocks-world", count=12), "more than 20,000 states"),

@@ -30,7 +30,7 @@ KINDS = {"strafing": (SMALL, 0.05), "by half metres": (NARROW, 0.03),
 UNREACHABLE = 10_000.0
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "strafing", "by half metres", "whole moves", "turns of 30 degrees", "differential", "by hand", "door")
 @pytest.mark.parametrize("kind", KINDS)
 def test_options_reach_what_options_env_reaches_in_about_as_many_primitives(kind):

@@ -74,7 +74,7 @@ def drive_round(room: RoomInstance) -> list[tuple[TimedTrajectory, int, int]]:
     return found
 
 
-@pytest.mark.in_turn_for("clutter-0", "clutter-3", "paper-random-3")
+@pytest.mark.nightly_for("clutter-0", "clutter-3", "paper-random-3")
 @pytest.mark.parametrize(("name", "seed"), ROOMS)
 def test_every_way_presses_its_target_alone_sweeps_no_solid_and_never_goes_sideways(name, seed):
     room = make(name, seed)
@@ -90,7 +90,7 @@ def test_every_way_presses_its_target_alone_sweeps_no_solid_and_never_goes_sidew
         assert np.hypot(*strength[:, :2].T).max() <= 1.0 + 1e-6 and np.abs(strength[:, 2]).max() <= 3.0 + 1e-6
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_one_seed_gives_one_way_and_another_seed_another():
     room = make("clutter", 0)
     state = RoomPlanner(room).rules.make_state(room.starts[0])

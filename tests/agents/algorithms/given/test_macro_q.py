@@ -121,7 +121,7 @@ def test_a_macro_whose_primitive_becomes_illegal_is_over_and_bootstraps():
     assert agent.compute_choice_values(0)[7] == pytest.approx(-1 + 0.9 * 10)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_macros_speed_up_learning_where_they_lead():
     """Greedy success after 600 primitives, over 5 seeds: with the goal in a corner macros help, in the centre not."""
 

@@ -51,7 +51,7 @@ def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folde
                                   whole.agent.compute_preferences(observation))
 
 
-@pytest.mark.in_turn_for("smdp-sharsa", "smdp-behaviour-cloning")
+@pytest.mark.nightly_for("smdp-sharsa", "smdp-behaviour-cloning")
 @pytest.mark.parametrize("name", ["smdp-behaviour-cloning", "smdp-fitted-q", "smdp-cql", "smdp-iql", "smdp-sharsa"])
 def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder(name, tmp_path):
     data = load_data(make_tape(), observation="features", rooms="own")
@@ -63,7 +63,7 @@ def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder
                  ).evaluations == result.evaluations
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_clone_of_experts_escapes_where_the_clone_of_random_play_does_not():
     rates = {}
     for kind in ("expert", "play"):
