@@ -170,6 +170,7 @@ def test_a_name_that_no_file_can_have_and_what_is_no_file_are_one_line(capsys, t
     assert code == 2 and err.count("\n") == 1
 
 
+@pytest.mark.nightly
 def test_an_animation_needs_no_viewer(tmp_path):
     script = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None; from hrl_escape.cli import main\n"
               "sys.exit(main(['record', '--preset', 'paper-one-button', '--out', sys.argv[1]]))")

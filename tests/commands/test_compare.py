@@ -173,6 +173,7 @@ def test_every_setting_of_an_agent_is_listed_with_what_it_means(capsys: pytest.C
     assert all(entry["about"] for entry in listed.values())
 
 
+@pytest.mark.nightly
 def test_train_gives_intra_option_learners_their_traces(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     code, out, err = call(capsys, "train", "smdp-intra-option-q", "--primitives", 150, "--eval-episodes", 1, "--json",
                           "--out", tmp_path)

@@ -177,6 +177,7 @@ def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
     assert learned[0] == learned[1] != []
 
 
+@pytest.mark.nightly
 def test_a_batch_trains_given_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
     for number, arguments in enumerate((["maxq-q", "--leaves", "learned"],
                                         ["smdp-dqn+objects+memory+no-primitives"])):

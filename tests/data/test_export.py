@@ -77,6 +77,7 @@ def test_minari_reads_both_sets_recovers_their_environments_and_normalises_score
     assert minari.get_normalized_score(options, returns) == pytest.approx([0, 1])
 
 
+@pytest.mark.nightly
 def test_the_sets_lie_in_the_folder_that_is_given(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "own"))

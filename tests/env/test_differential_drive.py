@@ -167,6 +167,7 @@ def test_base_and_arm_are_not_planned_as_if_the_base_strafed():
         planner.plan_whole_body(planner.rules.make_state(planner.instance.starts[0]), (0, 0, 0), (0.0, 0.0))
 
 
+@pytest.mark.nightly
 def test_options_of_both_kinds_reach_their_goals():
     found = compare_options([generate(dataclasses.replace(SMALL, obstacles=ObstaclesConfig(count=0)), 1)], 12)
     assert found.decisions >= 8 and not found.missed

@@ -244,7 +244,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
     assert np.mean(curve[30:40]) > np.mean(curve[:10]), "something is learned"
 
 
-@pytest.mark.nightly_for("four-rooms")
+@pytest.mark.nightly_for("four-rooms", "puddle-world")
 @pytest.mark.parametrize("config", [
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
     get_preset("foraging"),

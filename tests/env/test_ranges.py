@@ -98,6 +98,7 @@ def test_an_impossible_range_is_refused(make, word):
         make()
 
 
+@pytest.mark.nightly_for("egocentric")
 @pytest.mark.parametrize("observation", VECTORS)
 def test_every_instance_has_the_same_spaces_in_both_engines(rooms, observation):
     batched = EscapeRoomVectorEnv(len(rooms), instance=rooms, observation=observation)
@@ -198,6 +199,7 @@ def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     assert escaped.all()
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("8")
 @pytest.mark.parametrize("most", [4, 8])
 def test_paper_random_gives_every_seed_a_room_of_its_own(most):

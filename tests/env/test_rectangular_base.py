@@ -177,7 +177,7 @@ def test_a_turn_that_a_wall_blocks_for_one_drive_is_made_again_after_backing_off
     assert rules.step(rules.step(state, forward).state, back).state.y == state.y  # it slides along the wall
 
 
-@pytest.mark.nightly_for("door", "plain")
+@pytest.mark.nightly_for("door", "plain", "differential-stay")
 @pytest.mark.parametrize(("config", "seeds"), [
     (SMALL, 2),
     (change(dataclasses.replace(SMALL, dynamics=DynamicsConfig(noise=0.2, slip=0.2, slip_kind="any")), joints=1), 2),
@@ -230,6 +230,7 @@ def test_a_button_is_pressed_by_a_side_that_touches_it_and_by_a_turn_that_brings
 # --- the certificate ------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("strafing")
 @pytest.mark.parametrize("drive", ["strafing", "differential"])
 def test_rooms_are_certified_for_the_rectangle_through_doorways_that_are_shorter_than_it(drive):

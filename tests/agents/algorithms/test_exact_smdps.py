@@ -79,7 +79,7 @@ READ = {
 }
 
 
-@pytest.mark.nightly_for("MaxqQ-1")
+@pytest.mark.nightly_for("MaxqQ-1", "MacroQ-2", "Eigenoptions-0", "RMax-1")
 @pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
     env = make_env(seed)
@@ -103,6 +103,7 @@ def pay_for(smdp, goal):
     )  # fmt: skip
 
 
+@pytest.mark.nightly_for("0", "2")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ways_to_goals_are_worth_the_discount_of_their_last_primitive(seed):
     env = make_env(seed)
@@ -132,6 +133,7 @@ def find_distances(smdp, goal):
     return lengths
 
 
+@pytest.mark.nightly_for("0", "2")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_distances_are_counted_in_primitives_over_legal_actions_and_never_through_an_end(seed):
     env = make_env(seed)

@@ -308,6 +308,7 @@ def test_pictures_are_refused(name):
         make_agent(name, spaces.Box(0, 255, (84, 84, 3), np.uint8), spaces.Discrete(2), 0)
 
 
+@pytest.mark.nightly_for("switchboard-0.0")
 @pytest.mark.parametrize(("rung", "planned"), [("switchboard", 0.0), ("chain-3", 1.0)])
 def test_the_log_says_where_a_learner_has_no_model_to_plan_in(tmp_path, rung, planned):
     """A switch turns its neighbours too, which no two parents explain: after some exploration all is chance."""

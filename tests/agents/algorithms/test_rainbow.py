@@ -126,6 +126,7 @@ def learn_path(**settings):
     return np.array([agent.compute_values(row) for row in rows])
 
 
+@pytest.mark.nightly
 def test_values_of_options_come_near_the_exact_ones_with_the_default_support():
     exact = solve(PATH, 0.9)
     assert learn_path() == pytest.approx(exact, abs=1.0)

@@ -29,6 +29,7 @@ def learn_chain(horizon=100, **changes):
     return [float(agent.compute_values(row)[0]) for row in np.eye(4, dtype=np.float32)]
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("False")
 @pytest.mark.parametrize("expected", [False, True])
 def test_sarsa_learns_the_chains_values(expected):

@@ -140,12 +140,14 @@ def train_options(name: str, primitives: int):
     return train(agent=f"smdp-{name}", env=env, primitives=primitives, seed=0, eval_episodes=1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", thin(NAMES, step=3, first=1))
 def test_options_are_learned_through_the_public_door(name: str):
     """Near the best known return of 66, which chance misses by 40."""
     assert train_options(name, 3_000).evaluations[-1].mean_return > 55
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("torchrl-dqn", "torchrl-sac")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_seed_gives_the_same_run(name: str):

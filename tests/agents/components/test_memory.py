@@ -145,6 +145,7 @@ def train_mazes(seed, memory):
     return evaluate(result.agent, TMaze(), 40, seed=1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_with_a_memory_the_t_maze_is_solved_to_the_optimum(seed):
     found = train_mazes(seed, "gru")

@@ -103,7 +103,7 @@ def flatten(tree, where=""):
 
 @pytest.mark.nightly_for(
     "torchrl-dqn-corrected", "torchrl-sac-corrected", "dac-corrected", "dqn-paper", "vigorito-barto-corrected",
-    "sarsa-corrected-changed")
+    "sarsa-corrected-changed", "sarsa-paper")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
@@ -186,8 +186,9 @@ def read_log(folder):
 
 
 @pytest.mark.nightly_for(
-    "rainbow-corrected", "factored-r-max-corrected", "monte-carlo-model-corrected", "a2oc-corrected",
-    "fun-corrected", "sarsa-corrected", "met-r-max-corrected", "dqn-corrected-changed", "ppo-corrected-changed")
+    "rainbow-corrected", "factored-r-max-corrected", "monte-carlo-model-corrected", "a2oc-corrected", "fun-corrected",
+    "sarsa-corrected", "met-r-max-corrected", "dqn-corrected-changed", "ppo-corrected-changed",
+    "torchrl-ppo-corrected", "ppoc-corrected", "diayn-corrected", "ddpg-corrected", "ddpg-paper")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")

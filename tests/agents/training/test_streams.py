@@ -275,7 +275,7 @@ def make_interrupted(kind):
     return env
 
 
-@pytest.mark.nightly_for("ppo-rooms-37", "dqn-rooms-37", "r-max-poles-200")
+@pytest.mark.nightly_for("ppo-rooms-37", "dqn-rooms-37", "r-max-poles-200", "dac-rooms-37", "ppo-poles-200")
 @pytest.mark.parametrize(("name", "kind", "stop"), [
     ("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37), ("dac", "rooms", 37),
     ("q-learning", "rooms", 37), ("r-max", "poles", 200),

@@ -174,6 +174,7 @@ def list_choices(agent, env, seed):
     return [(t.action, t.observation.tobytes()) for t, _ in play_episode(agent, env, seed)]
 
 
+@pytest.mark.nightly_for("ppoc", "dac", "a2oc", "sarsa", "option-critic")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
     agent = run(name).agent
@@ -186,6 +187,7 @@ def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
     assert flatten(agent.state_dict()) == before
 
 
+@pytest.mark.nightly_for("ppoc", "dac", "diayn", "ddpg", "a2oc", "sarsa", "option-critic")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_how_often_one_evaluates_does_not_change_what_is_learned(name):
     often, never = run(name, eval_every=20), run(name, eval_episodes=0)
@@ -298,6 +300,7 @@ def test_a_result_survives_json():
     assert read_record(TrainResult, json.loads(json.dumps(result.to_json()))) == result
 
 
+@pytest.mark.nightly_for("ppoc", "a2oc", "sarsa")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_logged_name_is_explained(tmp_path, name):
     run(name, out=tmp_path)
@@ -468,7 +471,7 @@ def test_impossible_arguments_are_named(arguments, message):
 # --- learning ----------------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("sarsa")
+@pytest.mark.nightly_for("sarsa", "dqn")
 @pytest.mark.parametrize("name", ["q-learning", "dqn", "sarsa"])
 def test_agents_over_options_leave_the_button_grid_in_few_primitives(name):
     """The shortest way is 6 + 6 + 18 or so; the random policy over the same options scores -44."""
@@ -483,6 +486,7 @@ def test_ppo_over_options_leaves_the_button_grid():
     assert result.evaluations[-1].mean_return > 50
 
 
+@pytest.mark.nightly
 def test_pictures_can_be_learned_from():
     class Pictures(gymnasium.ObservationWrapper):
         def __init__(self, env):

@@ -19,7 +19,8 @@ from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 
 GAMMA = 0.9
 SMALL = {"rollout": 4, "epochs": 1, "batch_size": 8, "hidden": (8,), "gamma": GAMMA}
-each_vector = pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
+each_vector = pytest.mark.parametrize("vector", [
+    SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=pytest.mark.nightly)])  # each starts two interpreters
 each_mode = pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.value)
 
 
@@ -140,7 +141,7 @@ def test_a_discounted_reward_is_summed_without_the_discount_for_returns():
     assert outcome.discounted_reward.tolist() == pytest.approx([2 + 0.9 * 3 + 0.81 * 4])
 
 
-@each_vector
+@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
 def test_training_sets_the_discount_of_every_copy(vector):
     (outcome,) = walk(vector([lambda: make_options(discount=0.5)] * 2), [2])
     assert outcome.discounted_reward.tolist() == pytest.approx([2 + 0.9 * 3 + 0.81 * 4] * 2)
@@ -258,6 +259,9 @@ def test_masks_are_those_of_the_copies_that_give_one_in_each_kind_of_reset(vecto
         envs.close()
 
 
+@pytest.mark.nightly_for(
+    "batch of rooms-SameStep", "batch of rooms-Disabled", "some masks-SameStep", "some masks-NextStep",
+    "options-NextStep", "options-Disabled")
 @each_mode
 @pytest.mark.parametrize("make_envs", [
     lambda mode: SyncVectorEnv([lambda: make_masked(3), lambda: make_masked(5, False)], autoreset_mode=mode),

@@ -146,6 +146,7 @@ def test_no_rooms_runs_primitives_or_episodes_are_refused(capsys, option, rungs)
     assert code == 2 and out == "" and f"{option.replace('-', '_')} = 0 is not possible" in err
 
 
+@pytest.mark.nightly
 def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
     axes = (AxisRecord("size", ("one",), "objects"), AxisRecord("depth", ("five",)))
     dataclasses.replace(make_manifest(), axes=axes).save(tmp_path / "mine.json")
@@ -180,6 +181,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     assert code == 2 and "with --ray or --slurm" in err and err.count("\n") == 1
 
 
+@pytest.mark.nightly
 def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
     agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-index-order+no-primitives", "planner"]
     options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "1",
@@ -211,6 +213,7 @@ def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     assert code == int(chance >= 0.5) == len(told["faults"]["doormat"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("agents", "rooms", "trained"), [
     (["smdp-random+no-primitives", "planner"], 1, 1),
     pytest.param(["smdp-random", "smdp-dqn+objects+memory+no-primitives", "planner"], 2, 3, marks=pytest.mark.slow)])

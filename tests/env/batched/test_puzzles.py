@@ -67,6 +67,7 @@ def test_a_tensor_form_does_what_the_puzzle_does(name):
     compare(name, [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)])
 
 
+@pytest.mark.nightly_for("blocks-world", "code-lock")
 @pytest.mark.parametrize("kind", MIXED)
 def test_so_it_does_where_rooms_have_different_numbers_of_targets(kind):
     compare(kind, [config.make_puzzle(np.random.default_rng(seed)) for seed in range(10) for config in MIXED[kind]])

@@ -51,7 +51,9 @@ def count_blue(picture):
     return int(((blue > 60) & (blue > 1.5 * green) & (blue > 2 * red)).sum())
 
 
-@pytest.mark.nightly_for("many-obstacles", "noisy")
+@pytest.mark.nightly_for(
+    "many-obstacles", "noisy", "light-box", "four-rooms", "dead-ends", "multi-room", "lights-out", "smallest",
+    "potions", "foraging")
 @pytest.mark.parametrize("name", thin([*PRESETS, *EXTREMES], 3))
 def test_every_camera_pictures_every_room(name):
     room = make_room(name, seed=1)
@@ -68,6 +70,7 @@ def test_every_camera_pictures_every_room(name):
     room.close()
 
 
+@pytest.mark.nightly
 def test_puddles_lie_on_the_floor():
     """They cover 71 of the 441 m^2 of floor; the picture shows walls besides."""
     room = make_room("puddle-world")

@@ -127,6 +127,7 @@ def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
         assert f"<!-- {target.name}" in text
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("sixty-four-buttons")
 @pytest.mark.parametrize("name", [
     pytest.param("twenty-button", marks=pytest.mark.slow), "ten-button", "sixty-four-buttons",

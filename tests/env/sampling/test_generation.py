@@ -89,7 +89,9 @@ def flood(instance, resolution):
     return [(start.x + i * resolution, start.y + j * resolution) for i, j in seen]
 
 
-@pytest.mark.nightly_for("clutter-2")
+@pytest.mark.nightly_for(
+    "clutter-2", "door-0", "clutter-1", "door-2", "door-1", "clutter-3", "four-button-chain-3", "four-button-chain-2",
+    "four-button-chain-1")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["clutter", "four-button-chain", "door"])
 def test_walking_the_floor_reaches_every_button_and_the_exit(name, seed):

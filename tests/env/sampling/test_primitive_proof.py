@@ -46,12 +46,12 @@ def is_solvable(instance, most=60_000):
 def test_rooms_of_large_steps_are_certified_exactly_if_a_search_of_all_states_solves_them(monkeypatch, nothing_kept):
     monkeypatch.setattr(generation, "find_unproven", lambda instance, floors: None)
     verdicts = collections.Counter()
-    for seed in range(12):
+    for seed in range(6):
         instance = generation.generate(COARSE, seed)  # certified by geometry alone
         solvable = is_solvable(instance)
         assert (find_unmet_constraint(instance) is None) == solvable
         verdicts[solvable] += 1
-    assert min(verdicts.values()) >= 3
+    assert min(verdicts.values()) >= 2
 
 
 @pytest.mark.nightly_for("3", "0", "2", "4")

@@ -101,6 +101,7 @@ def measure_errors(agent, side):
     return error
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("1-4-12")
 @pytest.mark.parametrize(("depth", "side", "sweeps"), [(2, 2, 5), (1, 4, 12)])
 def test_the_last_level_obeys_every_order_by_the_shortest_way(depth, side, sweeps):

@@ -66,6 +66,7 @@ def solve_chain(gamma):
     return find_recursive_optimum(Chain().make_tables(), root, gamma)
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("1.0")
 @pytest.mark.parametrize("gamma", [1.0, 0.9])
 def test_the_chain_is_planned_to_its_exact_value(gamma):

@@ -56,6 +56,7 @@ def walk_at_random(goal, past=False):
     return np.linalg.solve(np.eye(len(GRID)) - follow, prices)[cells].mean()
 
 
+@pytest.mark.nightly
 def test_random_walks_last_as_long_as_the_paper_s_room_makes_them():
     """Macros hurt where the goal is in the centre and help at the walls; ending inside a macro is worth most of all."""
     lengths = {goal: walk_at_random(goal) for goal in (CENTRE, EDGE, CORNER)}

@@ -90,6 +90,7 @@ def test_values_of_choices_are_exact(agent_class, count):
             assert READ[agent_class](agent, look(env, state))[legal] == pytest.approx(row[legal], abs=2e-6), state
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("1")
 @pytest.mark.parametrize("count", [1, 64])
 def test_ways_and_distances_to_goals_are_exact(count):
@@ -188,7 +189,7 @@ OWNERS = ("maxq-q", "hamq", "hq-learning")
 """Agents that keep more of an episode than running calls."""
 
 
-@pytest.mark.nightly_for("smdp-hq-learning")
+@pytest.mark.nightly_for("smdp-hq-learning", "smdp-maxq-q", "maxq-q")
 @pytest.mark.parametrize("name", [
     *(pytest.param(name, marks=() if name == "maxq-q" else pytest.mark.slow) for name in list_given_agents()),
     *(f"smdp-{name}" for name in OWNERS)])

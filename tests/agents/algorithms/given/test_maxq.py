@@ -77,6 +77,7 @@ def measure_errors(agent, solution, graph):
     }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("pseudo_rewards", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without(pseudo_rewards):
     """Starts anywhere, alpha 1: after enough walks every table holds what solving task by task gives.

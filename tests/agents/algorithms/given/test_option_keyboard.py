@@ -51,6 +51,7 @@ def find_first_events(choose):
     return np.linalg.solve(np.eye(cells) - follow, events)
 
 
+@pytest.mark.nightly
 def test_successor_features_solve_their_equations_and_skills_take_the_shortest_way():
     agent = learn_room()
     for skill, button in enumerate(BUTTONS):

@@ -24,6 +24,7 @@ def list_names():
     return [name if get_agent_class(name).reads_both else f"smdp-{name}" for name in list_offline_agents()]
 
 
+@pytest.mark.nightly_for("hiql")
 @pytest.mark.parametrize("name", thin(list_names(), step=3, first=1))
 def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folder(name, tmp_path, monkeypatch):
     settings = SMALL.get(name.removeprefix("smdp-"), NETWORKS)
@@ -132,6 +133,7 @@ def test_hiql_learns_what_is_left_of_an_option_at_each_of_its_primitives():
     assert rest.mask.shape == rest.next_mask.shape == (len(primitives.action), 9)
 
 
+@pytest.mark.nightly
 def test_hiql_predicts_the_end_of_an_option_from_within_it_where_it_is_asked_when_it_acts():
     """Experts of one room: a network that was taught at their decisions alone misses by 0.19 of the spread."""
     tape = make_tape("expert").select(0)

@@ -275,6 +275,7 @@ def test_in_evaluation_an_option_runs_until_it_ends():
 # --- Four Rooms ---------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("extra")
 @pytest.mark.filterwarnings("ignore:.*collapsed")
 @pytest.mark.parametrize("slip", ["extra", "neighbour"])

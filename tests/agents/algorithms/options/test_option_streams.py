@@ -272,6 +272,7 @@ def test_with_one_option_it_is_ppo_in_many_rooms_to_the_bit(name, settings):
         assert torch.equal(getattr(one.agent, key).weights, other.agent.heads.networks[key].weights), key
 
 
+@pytest.mark.nightly_for("ppoc-AutoresetMode.NEXT_STEP", "dac-AutoresetMode.DISABLED", "dac-AutoresetMode.SAME_STEP")
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 @pytest.mark.parametrize("name", ["dac", "ppoc"])
 def test_no_outcome_shows_the_next_episode_and_no_option_goes_on_into_it(name, mode):

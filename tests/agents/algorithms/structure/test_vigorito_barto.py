@@ -199,6 +199,7 @@ def test_a_set_that_explains_much_less_is_tried_no_further():
 # --- the agent ----------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("layered-reset-trees", "chain-ignore-trees", "tree-ignore-trees", "layered-reset-sets")
 @pytest.mark.parametrize("models", ["trees", "sets"])
 @pytest.mark.parametrize(("kind", "rule"), [("tree", "ignore"), ("layered", "reset"), ("chain", "ignore")])
 def test_it_finds_the_edges_that_matter_and_escapes(kind, rule, models):
