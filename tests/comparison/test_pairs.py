@@ -25,6 +25,7 @@ def make_finals(values: np.ndarray) -> Finals:
     return {(f"room {room}", seed): float(value) for (room, seed), value in np.ndenumerate(values)}
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("bimodal-sizes4", "narrow-sizes9", "skewed-sizes8")
 @pytest.mark.parametrize(("shape", "sizes"), cover(list(SHAPES), [(5, 1, LEAST_RUNS), (5, 2, 5), (6, 2, 8)]))
 def test_identical_agents_are_told_apart_in_one_comparison_of_twenty_at_most(shape: str, sizes: tuple[int, int, int]):

@@ -68,6 +68,7 @@ def test_learners_are_tested_in_rooms_they_trained_in_too(finished: Comparison):
         assert 0.0 <= result.seen_efficiency <= 1.0
 
 
+@pytest.mark.nightly
 def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(finished: Comparison):
     summary = write_report(finished, "hrl-escape compare")
     text = (finished.out / "summary.md").read_text()

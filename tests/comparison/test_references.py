@@ -54,6 +54,7 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
     assert orders[0] == orders[2] != orders[1] and orders[0][:10] != buttons
 
 
+@pytest.mark.nightly_for("four-button-chain")
 @pytest.mark.parametrize("name", ["paper-two-button", "four-button-chain",
                                   pytest.param("ten-button", marks=pytest.mark.slow)])
 def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: str, tmp_path: Path):

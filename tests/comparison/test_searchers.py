@@ -109,6 +109,7 @@ def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(ord
     assert lit == 4 and decisions[-1] == "meta-exit"
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("code")
 @pytest.mark.parametrize("rung", ["code", "switchboard"])
 def test_retracing_finds_its_way_where_the_nearest_first_goes_round_in_circles(rung: str):
@@ -255,6 +256,7 @@ def foretell(room: RoomInstance, puzzle: Any) -> float:
                for button in range(count))
 
 
+@pytest.mark.nightly
 def test_where_graphs_are_too_many_a_sample_has_their_odds():
     puzzle, count = LADDER["lattice-5"].config.puzzle, 5
     assert isinstance(puzzle, ButtonsConfig)

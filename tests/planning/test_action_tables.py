@@ -67,6 +67,7 @@ def tables(draw) -> tuple[Move, ...]:
 rooms = st.builds(make_room, tables(), st.integers(0, 9), st.sampled_from(["strafing", "differential"]), st.booleans())
 
 
+@pytest.mark.nightly
 @PATIENT
 @given(rooms, st.integers(0, 2**32 - 1))
 def test_no_walk_is_shorter_than_the_bound_of_where_it_leads_nor_proven_impossible(room, seed):

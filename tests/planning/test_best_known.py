@@ -174,7 +174,7 @@ def beam_along(rules: Kinematics, start: RoomState, primitives, width: int, bin_
     return len(primitives)
 
 
-@pytest.mark.nightly_for("four-button-chain-113")
+@pytest.mark.nightly_for("four-button-chain-113", "four-button-chain-106", "paper-random-119")
 @pytest.mark.parametrize(("name", "seed"), [("four-button-chain", 106), ("four-button-chain", 113),
                                             ("paper-random", 106), ("paper-random", 119)])
 def test_no_escape_near_the_best_known_one_is_shorter(name, seed):
@@ -192,6 +192,7 @@ def test_orders_come_cheapest_first_and_differ():
     assert len({tuple(part.name for part in plan.parts) for plan in plans}) > 1
 
 
+@pytest.mark.nightly
 def test_given_options_that_beat_the_plan_are_the_best_known():
     instance = generate(get_preset("four-button-chain"), 0)
     start = make_start(instance)
@@ -221,6 +222,7 @@ def test_it_is_the_mean_over_the_starts():
     assert len(set(each)) > 1 and best_known_return(instance) == pytest.approx(np.mean(each))
 
 
+@pytest.mark.nightly
 def test_what_no_one_can_do_is_worth_the_horizon():
     instance = generate(get_preset("paper-two-button"), 0)
     fewest = find_best_known(instance, make_start(instance)).primitives
@@ -246,6 +248,7 @@ def test_a_better_return_is_taken_over_and_said():
     assert best_known_return(instance) == before, "another process"
 
 
+@pytest.mark.nightly
 def test_the_state_asked_for_least_recently_is_forgotten_first(monkeypatch):
     monkeypatch.setattr(best_known, "MOST_REMEMBERED", 2)
     names = ("paper-one-button", "paper-two-button", "bit-flip")

@@ -61,6 +61,7 @@ def test_the_expectation_is_what_the_planner_takes_with_other_noise():
     assert expected == compute_expected_escape(room, start(room), rollouts), "the same rollouts every time"
 
 
+@pytest.mark.nightly
 def test_hands_that_noise_leads_astray_press_one_button_after_the_other():
     """Where no joint plan says what comes next, the order of buttons is found anew after every press."""
     config = get_preset("arm-two-button")

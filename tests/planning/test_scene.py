@@ -174,6 +174,7 @@ def test_blocks_and_plates_are_added_and_removed_and_the_puzzle_follows():
         Scene.of(generate(get_preset("clutter"), 3)).add("crate", make_block(0.0, 0.0))
 
 
+@pytest.mark.nightly
 def test_a_room_with_an_added_block_and_plate_is_escaped_by_pushing_both():
     scene = Scene.of(generate(get_preset("push-block"), 14))
     room = scene.instance

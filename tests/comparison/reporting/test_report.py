@@ -330,6 +330,7 @@ frame.onload = () => {{
 </script>"""
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium")
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
 def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_path: Path, width: int):

@@ -196,6 +196,7 @@ def test_configuration_has_the_fewest_joint_steps_of_the_whole_lattice(name: str
     assert found >= 20 and none >= 1
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("franka-panda")
 @pytest.mark.parametrize("robot", [
     RobotConfig(joints=7, body_radius=0.4, body_height=0.8, link_length=0.3),
@@ -329,6 +330,7 @@ def test_small_budget_says_how_far_it_is_complete():
     assert (some.costs >= 0).sum() < (every.costs >= 0).sum()
 
 
+@pytest.mark.nightly
 def test_fine_joint_steps_that_no_list_can_hold_are_still_reached():
     robot = RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5, joint_step_deg=1.0)
     built, rng = make_robot(robot), np.random.default_rng(8)

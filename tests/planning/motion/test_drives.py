@@ -125,6 +125,7 @@ def test_it_backs_out_of_a_passage_where_it_cannot_turn():
     assert np.ptp(places[places[:, 0] < 2.0, 2]) < 1e-9 and places[-1, 0] >= 5.8
 
 
+@pytest.mark.nightly
 def test_a_turn_is_free_where_the_base_meets_nothing_at_any_angle_of_it():
     collision, rng, seen = CollisionMap(make("clutter", 1), door_shut=True), np.random.default_rng(0), []
     while len(seen) < 100:

@@ -35,6 +35,7 @@ def make(config, seed: int = 0, **settings):
     return planner, MotionSampler(planner.instance, LIMITS, **settings), state
 
 
+@pytest.mark.nightly_for("ten-button, driving rectangle")
 @pytest.mark.parametrize("name", ["paper-two-button", "ten-button, driving rectangle", *(
     pytest.param(name, marks=pytest.mark.slow)
     for name in ("inner-doors", "clutter", "arm-two-button", "arm-four-joints", "clutter, differential",
@@ -74,7 +75,7 @@ def test_a_sampled_motion_is_tracked_to_the_press():
     assert tracking.pressed == (1,) and tracking.distance < 1e-6
 
 
-@pytest.mark.nightly_for("blocks-world-0")
+@pytest.mark.nightly_for("blocks-world-0", "key-corridor-2", "sokoban-3")
 @pytest.mark.parametrize(("config", "seed"), [
     (get_preset("taxi"), 0), (blocks_world(hand=True), 0), (get_preset("key-corridor"), 2), (get_preset("sokoban"), 3),
     *(pytest.param(config, seed, marks=pytest.mark.slow) for seed in range(4, 10)

@@ -39,6 +39,7 @@ def test_exact_rooms_are_escaped_on_the_trajectory(name, time_step):
     assert tracking.seconds <= trajectory.duration + 2 * time_step
 
 
+@pytest.mark.nightly_for("arm-two-button-dynamics1-0.05", "paper-two-button-dynamics0-0.5")
 @pytest.mark.parametrize(("name", "dynamics", "within"), [
     ("paper-two-button", {"kind": "physics"}, 0.5), ("arm-two-button", {"kind": "physics"}, 0.05),
     ("paper-two-button", {"noise": 0.1}, 0.05)])

@@ -125,7 +125,7 @@ def test_the_base_rests_after_each_press():
         assert any(0.0 <= time - contact.time < 1.0 for time in slow)
 
 
-@pytest.mark.nightly_for("blocks-world-6")
+@pytest.mark.nightly_for("blocks-world-6", "sokoban-3")
 @pytest.mark.parametrize(("preset", "seed"), [
     ("taxi", 0), ("blocks-world", 6), ("door-key", 2), ("sokoban", 3),
     *(pytest.param(preset, seed, marks=pytest.mark.slow) for seed in range(7, 15)
@@ -198,6 +198,7 @@ def test_rounded_corners_are_faster_and_some_limit_is_met():
         assert 0.99 < max(measure_peaks(fast, LIMITS).values())
 
 
+@pytest.mark.nightly
 def test_clearance_is_kept_where_there_is_a_way_with_it():
     plan = make_plan("clutter", 0)
     shapes = stack_footprints([solid.footprint for solid in plan.instance.solids])
@@ -253,6 +254,7 @@ def test_arms_have_the_limits_of_their_own_urdf():
 # --- files -----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_sampling_and_files_hold_the_same_motion(tmp_path):
     plan = make_plan("clutter", 3)
     trajectory = make_trajectory(plan)

@@ -70,7 +70,7 @@ def assert_is_path(navigator, result, start):
 # --- paths -----------------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("SORRTstar", "InformedRRTstar")
+@pytest.mark.nightly_for("SORRTstar", "InformedRRTstar", "BFMT", "FMT", "BITstar")
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clutter, planner):
     start, rules = get_start(clutter), Kinematics(clutter.instance)

@@ -117,6 +117,7 @@ def count_fewest(rules, state, goal, most):
     return None
 
 
+@pytest.mark.nightly
 def test_short_plans_are_as_short_as_exhaustive_search_finds():
     search = PrimitiveSearch(make_room(Solid(x=1.2, y=2.5, half_x=0.7, half_y=0.3, yaw=0.4)))
     rng = np.random.default_rng(0)

@@ -35,6 +35,7 @@ def solve(instance, state=None, engine="fast-downward"):
     return [operators[action.action.name] for action in plan.actions]
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("paper-one-button", "twenty-button", "random-lights", "foraging")
 @pytest.mark.parametrize("name", thin(list(PRESETS), 8))
 def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
