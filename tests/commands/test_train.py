@@ -98,7 +98,7 @@ SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives"
 
 @pytest.mark.nightly_for(
     "changes0-flavour: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
-    "changes2-seed: 0 there, 1 now")
+    "changes2-seed: 0 there, 1 now", "changes3-environment.arguments.observation: 'features' there, 'state' now")
 @pytest.mark.parametrize(("changes", "field"), [
     (["--flavour", "press-with-ancestors"], "flavour: 'press' there, 'press-with-ancestors' now"),
     (["--seed", "1"], "environment.arguments.instance"),

@@ -12,6 +12,7 @@ from hrl_escape.errors import UnsupportedError
 from tests.data.small import make_tape
 
 
+@pytest.mark.nightly
 def test_ogbench_files_have_a_row_a_state_and_one_trajectory_in_ten_is_for_validation(tmp_path):
     data = load_data(make_tape("stitch"), observation="features")
     whole = data.read()

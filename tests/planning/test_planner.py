@@ -70,7 +70,9 @@ def start(planner):
 # --- plans come true -------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("twenty-button-fields", "hanoi-corridor", "puddle-world-corridor")
+@pytest.mark.nightly_for(
+    "twenty-button-fields", "hanoi-corridor", "puddle-world-corridor", "recipes-fields", "ten-button-corridor",
+    "potions-corridor", "deep-sea-corridor", "pin-pad-corridor")
 @pytest.mark.parametrize(("name", "method"), cover(KINEMATIC, ["fields", "corridor"]))
 def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env = EscapeRoomEnv(name, instance_seed=1)

@@ -11,7 +11,7 @@ from tests.text.rooms import RUNGS, get_room, make_env, play_manager, play_refer
 SEARCHERS = ("smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-index-order")
 
 
-@pytest.mark.nightly_for("clutter")
+@pytest.mark.nightly_for("clutter", "freight")
 @pytest.mark.parametrize("rung", RUNGS)
 def test_a_searcher_that_reads_the_text_alone_does_what_the_searcher_that_reads_the_room_does(rung: str):
     room = get_room(rung)

@@ -47,6 +47,7 @@ def test_with_the_late_terminal_the_last_but_one_sees_nothing_and_the_last_goes_
     assert q2 == pytest.approx(10 + GAMMA * after, abs=0.1)
 
 
+@pytest.mark.nightly
 def test_trap_3_a_cut_episode_still_has_a_future():
     """Cut after two decisions, s2 is only ever reached, never left: s1 is worth -3 + gamma Q(s2) nevertheless."""
     _, q1, q2, _ = learn_chain(horizon=2)

@@ -222,6 +222,7 @@ def test_rooms_of_the_batched_engine_show_the_state_that_their_episode_ended_in(
     assert ends == 8 * 4
 
 
+@pytest.mark.nightly
 def test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached(monkeypatch):
     seen = []
 
@@ -300,6 +301,7 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monk
     assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("200000-1")
 @pytest.mark.parametrize(("remade", "begun"), [(200_000, 1), (100, 4)])
 def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_after_enough_actions(

@@ -88,6 +88,7 @@ def test_kept_distances_become_exact(taught):
                 assert taught.distances[number[cell], number[goal]].min() == EXACT[cell, goal], (cell, goal)
 
 
+@pytest.mark.nightly
 def test_with_the_neighbour_rule_every_walk_arrives_and_is_nearly_shortest(taught):
     ratio, failures = measure_walks(taught)
     assert failures == 0 and ratio == pytest.approx(1.0108, abs=1e-4)

@@ -41,6 +41,7 @@ def sum_by_hand(agent, window, goal):
     return total
 
 
+@pytest.mark.nightly
 def test_a_goal_is_as_likely_as_the_product_over_the_logged_way():
     agent = learn_something()
     for window in agent._replay[::20]:

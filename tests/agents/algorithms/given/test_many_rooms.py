@@ -189,7 +189,7 @@ OWNERS = ("maxq-q", "hamq", "hq-learning")
 """Agents that keep more of an episode than running calls."""
 
 
-@pytest.mark.nightly_for("smdp-hq-learning", "smdp-maxq-q", "maxq-q")
+@pytest.mark.nightly_for("smdp-hq-learning", "smdp-maxq-q", "maxq-q", "smdp-hamq")
 @pytest.mark.parametrize("name", [
     *(pytest.param(name, marks=() if name == "maxq-q" else pytest.mark.slow) for name in list_given_agents()),
     *(f"smdp-{name}" for name in OWNERS)])

@@ -81,6 +81,7 @@ def test_a_chord_is_at_least_as_good_as_each_skill_everywhere(chord):
         assert (played.sum() > alone.sum(axis=0) + 0.5).all(), "any button: better than each skill of one"
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("0")
 @pytest.mark.parametrize("seed", range(2))
 def test_options_of_several_primitives_discount_events_and_what_follows_by_their_length(seed):

@@ -67,6 +67,7 @@ def test_the_chain_leads_from_the_start_to_the_goal(agent):
     assert len(slots) >= 3
 
 
+@pytest.mark.nightly
 def test_a_complete_chain_grows_no_further(agent):
     assert agent.discovery.targets[find_number(agent, START)] == sum(skill is not None for skill in agent.skills)
 
