@@ -38,6 +38,7 @@ def test_queries_begin_at_free_places_where_something_is_left_to_do():
         assert query.fewest >= 1
 
 
+@pytest.mark.nightly
 def test_instance_seeds_of_which_no_room_can_be_made_have_no_queries():
     crowded = RoomConfig(room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=2.2),
                          puzzle=ButtonsConfig(count=40))
@@ -107,6 +108,7 @@ def test_without_a_reference_the_best_contender_has_the_ratio_one():
     assert {row.fewest for row in rows} == {min(row.primitives for row in rows)}
 
 
+@pytest.mark.nightly
 def test_the_command_prints_writes_and_draws(tmp_path, capsys):
     csv, plot = tmp_path / "planners.csv", tmp_path / "planners.png"
     words = ["--rooms", "1", "--queries", "2", "--contenders", "fields", "RRTConnect", "--floors", "empty"]

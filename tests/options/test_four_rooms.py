@@ -149,6 +149,7 @@ def read_primitives(agent):
     return np.array([agent.compute_values(cell)[:4] for cell in range(CELLS) if cell != EAST_HALLWAY])
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("exploration")
 @pytest.mark.parametrize("options_serve", ["exploration", "nothing"])
 def test_options_for_exploration_leave_primitives_worth_what_they_are_and_act_by_them(options_serve):

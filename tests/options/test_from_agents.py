@@ -241,6 +241,7 @@ def test_a_program_run_in_parts_is_the_program(driver):
         assert parts == actions
 
 
+@pytest.mark.nightly
 def test_landmarks_are_options_that_lead_there_by_the_shortest_way():
     near = Landmarks(HALLWAYS, lambda cell: min(range(4), key=lambda number: _walk(cell, HALLWAYS[number])))
     env = FourRooms(None, "none")

@@ -190,6 +190,7 @@ def test_minari_records_the_infos_of_options(collector):
     env.close()
 
 
+@pytest.mark.nightly
 def test_torchrl_reads_durations_and_discounts_from_infos():
     names = ["duration", "discount", "summed_reward", "discounted_reward", "action_mask", "pressed"]
     env = GymWrapper(gymnasium.make(TWO, discount=0.9)).set_info_dict_reader(default_info_dict_reader(names))

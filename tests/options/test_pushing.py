@@ -30,6 +30,7 @@ def test_the_way_out_leaves_the_block_on_its_plate(seed):
     assert run.escaped and not any(undone)
 
 
+@pytest.mark.nightly
 def test_a_second_push_goes_round_the_first_block():
     config = dataclasses.replace(get_preset("push-block"), puzzle=PushBlockConfig(count=2))
     run, undone = escape(EscapeRoomEnv(config, instance_seed=17), 17)

@@ -21,6 +21,7 @@ def change(preset: str, **dynamics):
     return dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, **dynamics))
 
 
+@pytest.mark.nightly_for("config1")
 @pytest.mark.parametrize("config", [get_preset("paper-two-button"), get_preset("arm-two-button"),
                                     change("paper-two-button", noise=0.1)])
 def test_random_options_escape_and_each_presses_its_own_target(config):
@@ -76,7 +77,7 @@ def test_targets_are_pressed_under_physics():
     env.close()
 
 
-@pytest.mark.nightly_for("arm-two-button-14")
+@pytest.mark.nightly_for("arm-two-button-14", "clutter, rectangle-0", "arm-two-button-2")
 @pytest.mark.parametrize(("name", "seed"), [
     ("paper-random", 0),  # two panels side by side, of which one is touched: it is solid, and stands in the way
     ("clutter, rectangle", 0),  # a way that ends on the edge of the exit ends outside by a rounding

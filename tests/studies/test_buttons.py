@@ -85,6 +85,7 @@ def test_sizes_with_which_fewer_than_half_of_the_runs_escape_do_not_count():
     assert fit([run for run in runs + failed if run.buttons != 2]) is None, "three sizes give no law"
 
 
+@pytest.mark.nightly
 def test_sentences_follow_the_data():
     def write(learner: list[EscapeRun], searcher: list[EscapeRun]) -> list[str]:
         both = {LEARNER: learner, SEARCHER: searcher}
@@ -114,6 +115,7 @@ def test_the_searcher_is_held_against_learners_room_by_room(learner: float, sent
     assert sentence in " ".join(tell_searchers(ratios, WORDS, 20)) and advise(ratios, WORDS, 20).startswith(advice)
 
 
+@pytest.mark.nightly
 def test_the_figure_shows_a_power_law_only_where_no_exponential_fits_better():
     of = {LEARNER: make_runs(lambda n: 30 * 1.4**n), SEARCHER: make_runs(lambda n: 10 * n**1.5, SEARCHER)}
     (axes,) = draw(of, {agent: fit(runs) for agent, runs in of.items()}, WORDS).axes

@@ -71,6 +71,7 @@ SOUND = {CHANCE: [0.4, 0.3, 0.1], KNOWN: [1.0, 1.0, 1.0], IN_ORDER: [0.5, 0.4, 0
 ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for(
     "references3-learner3-noisy3-told3", "references4-learner4-noisy4-told4", "references6-learner6-noisy6-told6",
     "references0-learner0-noisy0-told0", "references1-learner1-noisy1-told1", "references2-learner2-noisy2-told2",
@@ -190,6 +191,7 @@ def test_the_page_says_what_an_agent_with_three_parents_is_told():
     assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`." in page
 
 
+@pytest.mark.nightly
 def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung():
     rooms = "x/low/train[:64] and 2 floors above > x/low/test[:3] and 2 floors above"
     runs = [dataclasses.replace(LINE, protocol=TOWER, rung=TOWER, rooms=rooms, agent=agent, seed=seed, episodes=3,

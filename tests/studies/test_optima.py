@@ -163,6 +163,7 @@ def test_a_deterministic_environment_is_enumerated():
     assert compute_price(model, flat(4), 0.9).flat == pytest.approx(0.9 ** (fewest[103] - 1))
 
 
+@pytest.mark.nightly
 def test_what_has_no_model_or_no_such_price_is_refused():
     with pytest.raises(UnsupportedError, match="no attributes P"):
         read_model(gymnasium.make("CartPole-v1"))

@@ -218,6 +218,7 @@ def test_departures_from_the_rerun_follow_the_numbers():
         assert any(told.startswith(f"{alike} with meta-actions:") for told in close)
 
 
+@pytest.mark.nightly
 def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     runs = [run for own in make_paper_results(1.0, 0.5).values() for run in own]
     raw = save("paper", runs, tmp_path)

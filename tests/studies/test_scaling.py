@@ -222,6 +222,7 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     assert (tell("scaling", results[::-1], tmp_path), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
 
 
+@pytest.mark.nightly
 def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkeypatch):
     """A run that was made again takes its line's place; all other lines stay, and what they tell stays on the page."""
     for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2,))):
@@ -370,6 +371,7 @@ def test_what_structure_learners_are_told_is_what_the_labels_say():
     assert dataclasses.replace(noisy, name=exact.name, dynamics=exact.dynamics) == exact
 
 
+@pytest.mark.nightly
 def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_path):
     told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 1": None})
     bar = [make_result(run=run, rule="reset") for run in range(10)]

@@ -141,7 +141,7 @@ def test_a_discounted_reward_is_summed_without_the_discount_for_returns():
     assert outcome.discounted_reward.tolist() == pytest.approx([2 + 0.9 * 3 + 0.81 * 4])
 
 
-@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
+@each_vector
 def test_training_sets_the_discount_of_every_copy(vector):
     (outcome,) = walk(vector([lambda: make_options(discount=0.5)] * 2), [2])
     assert outcome.discounted_reward.tolist() == pytest.approx([2 + 0.9 * 3 + 0.81 * 4] * 2)

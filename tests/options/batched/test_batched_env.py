@@ -185,6 +185,7 @@ def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, m
     assert not found.side_presses
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["four-rooms", pytest.param("key-chest", marks=pytest.mark.slow)])
 def test_a_plan_is_not_followed_on_after_a_slip(name):
     found = compare_options([generate(get_preset(name), 0)], 200)

@@ -32,6 +32,7 @@ def make_env(count=1, config=ARM, seed=0, **more):
     return begin(BatchedOptionsEnv(count, instance=generate(config, seed), include_primitives=False, **more))
 
 
+@pytest.mark.nightly
 @pytest.mark.nightly_for("noise")
 @pytest.mark.parametrize(("config", "decisions", "most"), [
     (ARM, 20, 0.06), pytest.param(CLUTTERED, 10, 0.08, marks=pytest.mark.slow),
@@ -43,6 +44,7 @@ def test_what_options_env_presses_by_hand_is_pressed_in_about_as_many_primitives
     assert found.planned > 100 and -0.02 < found.more < most
 
 
+@pytest.mark.nightly
 def test_rooms_pressed_by_hand_go_on_without_the_planner():
     env = make_env(16)
     generator, pressed = torch.Generator().manual_seed(0), 0
