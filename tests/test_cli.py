@@ -128,7 +128,7 @@ def test_a_closed_pipe_ends_a_program_as_the_shell_expects(tmp_path):
 
 
 @pytest.mark.parametrize("number", [
-    signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGHUP, signal.SIGINT))])
+    signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.nightly) for number in (signal.SIGHUP, signal.SIGINT))])
 def test_a_signal_ends_a_run_in_order_and_with_its_own_exit_code(tmp_path, number):
     before = signal.signal(number, signal.default_int_handler)  # a child inherits what is ignored, as under nohup
     try:

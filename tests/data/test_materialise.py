@@ -15,6 +15,7 @@ from hrl_escape.options.degraded import OptionDegradation
 from tests.data.small import make_tape, save_small
 
 
+@pytest.mark.nightly_for("play-objects-0.99", "noisy-features-0.7")
 @pytest.mark.parametrize("gamma", [0.99, 0.7])
 @pytest.mark.parametrize(("kind", "observation"), [("play", "objects"), ("noisy", "features")])
 def test_a_run_of_options_and_its_replay_agree_to_the_bit(gamma, kind, observation):

@@ -124,7 +124,7 @@ def check(kind: str, rooms: int, permutations: int = 200) -> None:
 
 @pytest.mark.nightly_for("deceptive")
 @pytest.mark.parametrize("kind", [
-    pytest.param(kind, marks=() if kind in ("deceptive", "places") else pytest.mark.slow) for kind in REGULARITIES])
+    pytest.param(kind, marks=() if kind in ("deceptive", "places") else pytest.mark.nightly) for kind in REGULARITIES])
 def test_nothing_tells_of_the_graph_before_the_first_press(kind):
     check(kind, 120)
 
