@@ -6,6 +6,7 @@ DEMO   ?= hrl-escape demo
 WATCH  ?= hrl-escape watch --room clutter#3
 JOBS   ?= 2
 SHARD  ?= 1/1
+MARKS  ?= nightly
 
 VENV  := .venv
 STAMP := $(VENV)/.installed
@@ -13,7 +14,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
-.PHONY: help demo watch test test-planted test-in-turn test-slow docs lint dist clean
+.PHONY: help demo watch test test-nightly docs lint dist clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -29,17 +30,11 @@ demo: $(STAMP) ## compare six agents in a room with four buttons; ends with a li
 watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cluttered room; Ctrl-C ends
 	$(WATCH)
 
-test: $(STAMP) ## every test but those marked slow, in_turn or gpu
-	python -m pytest tests -n $(JOBS) --dist worksteal -m "not (slow or in_turn or gpu)"
+test: $(STAMP) ## the fast tests, some four minutes on two idle cores
+	python -m pytest tests -n $(JOBS) --dist worksteal -m "not (nightly or gpu)"
 
-test-planted: $(STAMP) ## every planted bug is seen by a test; a quarter of them: make test-planted SHARD=1/4
-	python -m pytest tests/test_mutations.py -n $(JOBS) -m slow --shard $(SHARD)
-
-test-in-turn: $(STAMP) ## tests that reach what quicker ones reach; a third of them: make test-in-turn SHARD=1/3
-	python -m pytest tests -n $(JOBS) --dist worksteal -m "in_turn and not slow" --shard $(SHARD)
-
-test-slow: $(STAMP) ## the other slow tests, some 40 minutes on two idle cores; a sixth: make test-slow SHARD=1/6
-	python -m pytest tests --ignore tests/test_mutations.py -n $(JOBS) --dist loadfile -m slow --shard $(SHARD)
+test-nightly: $(STAMP) ## all others, planted bugs among them, about an hour; a tenth of them: make test-nightly SHARD=1/10
+	python -m pytest tests -n $(JOBS) --dist worksteal -m "$(MARKS)" --shard $(SHARD)
 
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -j $(JOBS) -W --keep-going -q docs build/docs

@@ -49,12 +49,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--shard", default="1/1", help="part of the tests to run: 2/6 is the second of six")
 
 
-@pytest.hookimpl(tryfirst=True)  # before those that are marked slow are left out
+@pytest.hookimpl(tryfirst=True)  # before a tier is chosen by its marks
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of one shard, and of the site if one is given; slow ones have two hours."""
-    mark_parameters_in_turn(items)
+    """Keep the tests of one shard, and of the site if one is given; slow ones are nightly and have two hours."""
+    mark_nightly_parameters(items)
     for item in items:
         if item.get_closest_marker("slow"):
+            item.add_marker("nightly")
             item.add_marker(pytest.mark.timeout(7200))
     number, count = map(int, config.getoption("shard").split("/"))
     assert 1 <= number <= count, "--shard takes a number and a count, as 2/6"
@@ -66,20 +67,20 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = kept
 
 
-def mark_parameters_in_turn(items: list[pytest.Item]) -> None:
-    """Mark what `in_turn_for` names; a name that no test has any more is an error where all are collected."""
+def mark_nightly_parameters(items: list[pytest.Item]) -> None:
+    """Mark what `nightly_for` names; a name that no test has any more is an error where all are collected."""
     unknown: dict[tuple[str, str], None] = {}
     for item in items:
         name, _, parameters = item.name.partition("[")
-        for marker in item.iter_markers("in_turn_for"):
+        for marker in item.iter_markers("nightly_for"):
             unknown |= {(f"{item.path.name}::{name}", named): None for named in marker.args}
             if parameters[:-1] in marker.args:
-                item.add_marker("in_turn")
+                item.add_marker("nightly")
     for item in items:
         name, _, parameters = item.name.partition("[")
         unknown.pop((f"{item.path.name}::{name}", parameters[:-1]), None)
     if unknown and not any("::" in argument for argument in items[0].config.args):
-        raise pytest.UsageError(f"in_turn_for names parameters that no test has: {', '.join(map(str, unknown))}")
+        raise pytest.UsageError(f"nightly_for names parameters that no test has: {', '.join(map(str, unknown))}")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

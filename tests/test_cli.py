@@ -46,11 +46,11 @@ def test_help_imports_nothing_that_takes_time():
     assert run_python(script).stdout.splitlines()[-1] == "HEAVY"
 
 
-@pytest.mark.parametrize("missing", ["matplotlib", "ompl", "pinocchio", "imageio_ffmpeg", "viser"])
-def test_a_missing_package_stops_only_the_commands_that_need_it(missing):
-    script = ("import sys; sys.modules[sys.argv[1]] = None; from hrl_escape.cli import main\n"
+def test_missing_packages_stop_only_the_commands_that_need_them():
+    missing = ("matplotlib", "ompl", "pinocchio", "imageio_ffmpeg", "viser")
+    script = ("import sys; sys.modules |= dict.fromkeys(sys.argv[1:]); from hrl_escape.cli import main\n"
               "sys.exit(main(['--help']) or main(['list', 'presets', '--json']))")
-    done = run_fork(script, missing)
+    done = run_fork(script, *missing)
     assert done.returncode == 0, done.stderr
     assert "clutter" in done.stdout
 
@@ -106,17 +106,19 @@ def test_mistakes_show_no_traceback_in_the_real_program(tmp_path):
     assert done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
 
 
+@pytest.mark.nightly
 def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
     done = subprocess.run(f"'{PROGRAM}' list | head -1", shell=True, capture_output=True, text=True, cwd=tmp_path)
     assert done.stderr == ""
 
 
-def test_output_that_cannot_be_written_is_one_line(tmp_path):
+@pytest.mark.parametrize("command", [
+    ["--help"], pytest.param(["list", "presets", "--json"], marks=pytest.mark.nightly)], ids=" ".join)
+def test_output_that_cannot_be_written_is_one_line(tmp_path, command):
     with open("/dev/full", "w") as full:
-        for command in (["--help"], ["list", "presets", "--json"]):
-            done = subprocess.run([PROGRAM, *command], stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
-            assert done.returncode == 2
-            assert done.stderr == "hrl-escape: cannot write the output: No space left on device\n"
+        done = subprocess.run([PROGRAM, *command], stdout=full, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "hrl-escape: cannot write the output: No space left on device\n"
 
 
 def test_a_closed_pipe_ends_a_program_as_the_shell_expects(tmp_path):
@@ -126,7 +128,7 @@ def test_a_closed_pipe_ends_a_program_as_the_shell_expects(tmp_path):
 
 
 @pytest.mark.parametrize("number", [
-    signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGHUP, signal.SIGINT))])
+    signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.nightly) for number in (signal.SIGHUP, signal.SIGINT))])
 def test_a_signal_ends_a_run_in_order_and_with_its_own_exit_code(tmp_path, number):
     before = signal.signal(number, signal.default_int_handler)  # a child inherits what is ignored, as under nohup
     try:
@@ -168,6 +170,7 @@ def test_a_name_that_no_file_can_have_and_what_is_no_file_are_one_line(capsys, t
     assert code == 2 and err.count("\n") == 1
 
 
+@pytest.mark.nightly
 def test_an_animation_needs_no_viewer(tmp_path):
     script = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None; from hrl_escape.cli import main\n"
               "sys.exit(main(['record', '--room', 'paper-one-button', '--out', sys.argv[1]]))")

@@ -54,7 +54,7 @@ def test_a_machine_busy_with_other_work_makes_the_same_plans():
     assert len(starved.strip()) == 64 and starved == run_here(SCRIPT)
 
 
-@pytest.mark.in_turn_for("fields")
+@pytest.mark.nightly_for("fields")
 @pytest.mark.parametrize("method", ["fields", "RRTConnect"])
 def test_a_machine_on_which_every_look_at_the_clock_takes_a_minute_makes_the_same_plans(monkeypatch, method):
     planner, start = make_planner(method=method)
@@ -86,7 +86,7 @@ def test_a_limit_holds_over_the_whole_call_and_its_result_says_so():
         make_planner("twenty-button", time_limit=0.02)[0].solve(start)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_plan_made_without_a_limit_was_not_cut_short():
     planner, start = make_planner()
     assert not planner.solve(start).timed_out and planner.routes.time_limit is None

@@ -37,7 +37,7 @@ def make_json(kind, room, path):
     return json.loads(path.read_text()), load_episode
 
 
-@pytest.mark.in_turn_for("values-episode")
+@pytest.mark.nightly_for("values-episode")
 @pytest.mark.parametrize("kind", ["room", "grid", "room configuration", "episode"])
 @pytest.mark.parametrize("how", ["bytes", "values"])
 def test_a_changed_file_is_read_or_refused_in_words(tmp_path, room, kind, how):

@@ -49,16 +49,18 @@ LESSONS = [
 ]
 
 
-LONG = ("stable_baselines.py", "own_agent.py", "own_comparison.py")
-"""Six trainings of another library, evaluations to the horizon, eight runs and their report: seconds each."""
+FAST = ("door_1_flat.py", "door_2_options.py", "door_3_training.py", "door_4_planner.py", "own_option.py",
+        "own_reward.py", "smallest_puzzle.py", "tools_balrog.py")
+"""The others run nightly: they take longer, or use a package that may be missing."""
 LEARNED = [("cleanrl_ppo.py", ["--primitives", "24576"],
             [r"24,576 primitives: return (8[5-9]|9\d), 100% of \d+ episodes escape"]),
            ("own_agent.py", ["--primitives", "4000"], [r"return -1000 untrained, [3-9]\d after 4,0\d\d primitives"])]
 
 
 @pytest.mark.parametrize(("script", "arguments", "shows"), [
-    *(pytest.param(*lesson, id=lesson[0], marks=pytest.mark.slow if lesson[0] in LONG else ()) for lesson in LESSONS),
-    *(pytest.param(*lesson, id=f"{lesson[0]} to the end", marks=pytest.mark.slow) for lesson in LEARNED)])
+    *(pytest.param(*lesson, id=lesson[0], marks=() if lesson[0] in FAST else pytest.mark.nightly)
+      for lesson in LESSONS),
+    *(pytest.param(*lesson, id=f"{lesson[0]} to the end", marks=pytest.mark.nightly) for lesson in LEARNED)])
 def test_example(script: str, arguments: list[str], shows: list[str], tmp_path: Path):
     done = run_file(EXAMPLES / script, *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

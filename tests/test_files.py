@@ -36,7 +36,7 @@ JSON = st.recursive(
 )
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(value=JSON)
 def test_json_comes_back_bit_for_bit(tmp_path_factory, value):
     path = tmp_path_factory.mktemp("json") / "deep" / "x.json"
@@ -175,7 +175,7 @@ def test_extreme_json_is_refused_in_words(tmp_path, text, words):
         read_json(tmp_path / "x.json")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_json_of_more_values_than_memory_should_hold_is_refused_before_it_is_parsed(tmp_path):
     (tmp_path / "many.json").write_bytes(b"[" + b"{}," * (40 * 2**20 // 3) + b"{}]")
     program = f"""

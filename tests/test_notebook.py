@@ -90,6 +90,7 @@ def test_a_result_draws_its_curve():
     assert len(together.axes[0].lines) == 2 and count_shapes(together._repr_svg_()) > 5  # type: ignore[attr-defined]
 
 
+@pytest.mark.nightly
 def test_a_reach_map_draws_itself():
     small = generate(get_preset("arm-two-button"), 1)
     arm = ArmPlanner(small)

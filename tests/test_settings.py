@@ -59,7 +59,7 @@ class Cart(Settings):
             raise ConfigError("cart.covered", True, "False for a red cart")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.builds(
     Cart,
     wheels=st.lists(st.builds(Wheel, st.floats(1e-3, 2), st.integers(3, 99)), max_size=3).map(tuple),

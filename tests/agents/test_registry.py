@@ -88,7 +88,7 @@ def test_every_agent_keeps_the_protocol(name):
     assert agent.gamma == agent.settings.gamma
 
 
-@pytest.mark.in_turn_for("torchrl-sac", "rainbow", "torchrl-dqn", "torchrl-ppo")
+@pytest.mark.nightly_for("torchrl-sac", "rainbow", "torchrl-dqn", "torchrl-ppo")
 @pytest.mark.parametrize("name", list_agents())
 def test_trap_11_no_agent_ever_takes_an_illegal_action(name):
     """Least of all the one that it likes best, once that is forbidden."""

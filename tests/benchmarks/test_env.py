@@ -7,6 +7,7 @@ import pytest
 from tests.command_line import assert_script_refused, call_script
 
 
+@pytest.mark.nightly
 def test_rooms_are_compared_with_cartpole_and_taxi_in_one_run(capsys):
     code, out, err = call_script(capsys, "benchmarks.env", "--presets", "paper-one-button", "push-block",
                                  "--seconds", "0.02", "--repeats", "2", "--json")

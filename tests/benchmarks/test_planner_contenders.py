@@ -38,6 +38,7 @@ def test_queries_begin_at_free_places_where_something_is_left_to_do():
         assert query.fewest >= 1
 
 
+@pytest.mark.nightly
 def test_instance_seeds_of_which_no_room_can_be_made_have_no_queries():
     crowded = RoomConfig(room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=2.2),
                          puzzle=ButtonsConfig(count=40))
@@ -69,7 +70,7 @@ def test_scores_are_those_of_the_measurements(tmp_path):
     assert lines[1] == "fields,empty,a,exit,True,11,10,30,5,2,8,12"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_everything_that_plans_is_a_contender():
     assert list_contenders() == (AUTO, FIELDS, *list_planners(), *(name + PATH for name in list_planners()))
     rows = measure(make_queries("interior walls", range(1), 1), list_contenders())
@@ -92,7 +93,7 @@ def test_a_room_costs_more_at_first_and_least_for_a_goal_that_it_knows():
     assert sum(row.cold_ms > row.new_ms > row.milliseconds for row in rows) >= 4
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_auto_finds_is_what_one_of_its_two_ways_finds():
     for floor in ("10 obstacles", "places, 10 obstacles"):
         rows = measure(make_queries(floor, range(1), 3), (AUTO, FIELDS, "RRTConnect"))
@@ -107,6 +108,7 @@ def test_without_a_reference_the_best_contender_has_the_ratio_one():
     assert {row.fewest for row in rows} == {min(row.primitives for row in rows)}
 
 
+@pytest.mark.nightly
 def test_the_command_prints_writes_and_draws(tmp_path, capsys):
     csv, plot = tmp_path / "planners.csv", tmp_path / "planners.png"
     words = ["--rooms", "1", "--queries", "2", "--contenders", "fields", "RRTConnect", "--floors", "empty"]

@@ -52,7 +52,7 @@ def test_envs():
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_suite_of_a_checkout_runs_over_our_ids_and_reports_each_failure(tmp_path):
     envs = tmp_path / "tests/envs"
     envs.mkdir(parents=True)

@@ -15,7 +15,7 @@ from tests.agents.training.test_resuming import SMALL
 from tests.covering import thin
 
 
-@pytest.mark.in_turn_for("factored-r-max", "ppo", "rainbow", "torchrl-dqn", "a2oc", "diayn")
+@pytest.mark.nightly_for("factored-r-max", "ppo", "rainbow", "torchrl-dqn", "a2oc", "diayn")
 @pytest.mark.parametrize("name", thin(list_agents(), 3, 2))
 def test_every_agent_keeps_its_contract(name):
     settings = get_recipe(name)

@@ -12,11 +12,12 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig, PushBlockPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import ContractError
+from tests.covering import thin
 
 # --- puzzles ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", thin(range(5), 4))
 @pytest.mark.parametrize("kind", list_puzzles())
 def test_every_registered_puzzle_keeps_its_contract(kind, seed):
     puzzle = get_puzzle_kind(kind).config_type().make_puzzle(np.random.default_rng(seed))

@@ -38,7 +38,7 @@ from tests.classic.taxi import Taxi, decode
 PSEUDO = {"get": lambda seen: 3.0, "navigate 0": lambda seen: 1.0}
 
 
-@pytest.mark.in_turn_for("always")
+@pytest.mark.nightly_for("always")
 @pytest.mark.parametrize("polled", ["never", "always"])
 def test_a_graph_with_pseudo_rewards_keeps_every_promise(polled):
     class Polled(StackAgent):
@@ -78,7 +78,7 @@ OWN = {
 """Agents that make their hierarchy themselves."""
 
 
-@pytest.mark.in_turn_for("h-dqn", "hac", "option-keyboard", "sol", "taxi")
+@pytest.mark.nightly_for("h-dqn", "hac", "option-keyboard", "sol", "taxi")
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
     check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)
@@ -178,7 +178,7 @@ class GoesByDepth(StackAgent):
         return super().choose(stack, view, legal, seen)
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "LastsLonger-lasts as long as its primitives", r"DiscountsOncePerDecision-gamma\\^k",
     "PaysFinalToTheCut-`final` is asked only|`final` where it ended",
     "LeaksFinalToTheCaller-discounted sum of its task's pay", "TakesCutsForEnds-not told that it terminated",
@@ -206,7 +206,7 @@ def test_an_agent_that_breaks_a_promise_is_found(agent_class, claim):
         check_hierarchy(make_taxi_tasks(pseudo=PSEUDO), Taxi(), agent_class=agent_class)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_agent_that_goes_on_after_the_end_is_found():
     with pytest.raises(ContractError, match="terminates every call"):
         check_hierarchy(flat(2), Chain(), agent_class=GoesOnAfterTheEnd)
@@ -222,7 +222,7 @@ class PaidByItself(GraphTask):
         return 0.0
 
 
-@pytest.mark.in_turn_for("PaidByItself-the root's return is the environment's")
+@pytest.mark.nightly_for("PaidByItself-the root's return is the environment's")
 @pytest.mark.parametrize(
     ("task_class", "claim"), [(CallsWhatIsOver, "over"), (PaidByItself, "the root's return is the environment's")]
 )
@@ -254,7 +254,7 @@ class Commanded(BaseTask):
         return (0.1, 0.5)[frame.context] if frame.primitives else 0.0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_calls_with_contexts_that_end_by_chance_keep_every_promise():
     below = Commanded("inner", 6)
     check_hierarchy(Hierarchy(Nested(below), (below,)), Taxi())
@@ -267,7 +267,7 @@ def test_a_task_that_calls_itself_for_ever_is_refused():
         check_hierarchy(Hierarchy(below), Taxi())
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_chain_of_one_child_tasks_is_the_flat_agent_to_the_bit():
     from tests.agents.running import interact
 

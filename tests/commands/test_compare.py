@@ -140,7 +140,7 @@ def test_launchers_that_do_not_go_together_are_refused(capsys: pytest.CaptureFix
 # --- train -----------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_train_prints_the_curve_keeps_the_run_and_goes_on(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     arguments = ("train", "smdp-q-learning", "--primitives", 300, "--eval-episodes", 1, "--out", tmp_path / "run",
                  "--settings", "learning_rate=0.5", "gamma=0.95", "--json")
@@ -155,7 +155,7 @@ def test_train_prints_the_curve_keeps_the_run_and_goes_on(capsys: pytest.Capture
     assert "the best known is 66" in out
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     arguments = ["train", "random-options", "--primitives", 100, "--eval-episodes", 1, "--out", tmp_path]
     assert call(capsys, *arguments)[0] == 0
@@ -173,6 +173,7 @@ def test_every_setting_of_an_agent_is_listed_with_what_it_means(capsys: pytest.C
     assert all(entry["about"] for entry in listed.values())
 
 
+@pytest.mark.nightly
 def test_train_gives_intra_option_learners_their_traces(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     code, out, err = call(capsys, "train", "smdp-intra-option-q", "--primitives", 150, "--eval-episodes", 1, "--json",
                           "--out", tmp_path)

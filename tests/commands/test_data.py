@@ -88,6 +88,7 @@ def test_a_recording_is_told_to_be_the_published_recording_or_refused_for_what_d
     assert call(capsys, "data", "make", NAME)[1].endswith("no recording of this name is published\n")
 
 
+@pytest.mark.nightly
 def test_a_recording_of_medium_may_differ_and_says_so_but_a_trial_is_refused(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(train_medium.__globals__, "MEDIUM_PRIMITIVES", 40)

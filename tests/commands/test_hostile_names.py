@@ -36,7 +36,7 @@ def test_a_rooms_name_is_shown_as_it_stands(folder: Path, name: str, capfd):
         assert name in said.out
 
 
-@pytest.mark.in_turn_for("../../up")
+@pytest.mark.nightly_for("../../up")
 @pytest.mark.parametrize("name", ["../../up", "x" * 300])
 def test_train_keeps_its_default_folder_below_runs(folder: Path, name: str, capfd):
     code = main(["train", "random", "--primitives", "5", "--eval-episodes", "0", "--room", write_room(folder, name)])
@@ -47,7 +47,7 @@ def test_train_keeps_its_default_folder_below_runs(folder: Path, name: str, capf
     assert [path.name for path in folder.parent.iterdir()] == ["b"]
 
 
-@pytest.mark.in_turn_for("../../up")
+@pytest.mark.nightly_for("../../up")
 @pytest.mark.parametrize("name", ["[/bold]", "../../up"])
 def test_solve_and_record_show_names_as_they_stand(folder: Path, name: str, capfd):
     room = write_room(folder, name)

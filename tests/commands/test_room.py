@@ -14,7 +14,7 @@ from tests.command_line import assert_refused, call, run_program
 from tests.forks import run_fork
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_room_generates_checks_draws_and_saves(tmp_path):
     done = run_program("room", "--room", "clutter#3", "--draw", "room.svg", "--save", "room.json",
                        "--json", "--check", cwd=tmp_path)
@@ -150,7 +150,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     assert path.read_text() == "old"
 
 
-@pytest.mark.in_turn_for("arguments21-no solvable room")
+@pytest.mark.nightly_for("arguments21-no solvable room")
 @pytest.mark.parametrize(("arguments", "words"), [
     (["--room", "cluter"], "did you mean 'clutter'"),
     (["--room", "paper-two-button(size=4)"], "paper-two-button"),

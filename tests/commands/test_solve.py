@@ -53,7 +53,7 @@ def test_noise_is_met_by_looking_as_it_goes(capsys):
     assert [decision["name"] for decision in report["decisions"]] == ["press-button-1", "press-button-2", "go-to-exit"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_pictures_and_pddl_are_written(capsys, tmp_path):
     files = [tmp_path / name for name in ("map.svg", "way.gif")]
     code, out, _ = run(capsys, "--room", "paper-one-button", "--draw", str(files[0]), str(files[1]),

@@ -30,7 +30,7 @@ def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys
     assert {"run.json", "log.jsonl", "checkpoint.npz"} <= {path.name for path in (tmp_path / "run").iterdir()}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
     command = [PROGRAM, "train", "smdp-q-learning", "--eval-episodes", "1", "--eval-every", "500", "--out", "run"]
     log = tmp_path / "run" / "log.jsonl"
@@ -98,9 +98,9 @@ def heed_ctrl_c():
 SHORT = ["train", "random-options", "--room", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "changes0-option_set: 'press' there, 'press-with-ancestors' now", "changes1-environment.arguments.instance",
-    "changes2-seed: 0 there, 1 now")
+    "changes2-seed: 0 there, 1 now", "changes3-environment.arguments.observation: 'features' there, 'state' now")
 @pytest.mark.parametrize(("changes", "field"), [
     (["--option-set", "press-with-ancestors"], "option_set: 'press' there, 'press-with-ancestors' now"),
     (["--room", "four-button-chain#1"], "environment.arguments.instance"),
@@ -180,6 +180,7 @@ def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
     assert learned[0] == learned[1] != []
 
 
+@pytest.mark.nightly
 def test_a_batch_trains_task_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
     for number, arguments in enumerate((["maxq-q+learned"], ["smdp-dqn+objects+memory"])):
         code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--room", "paper-one-button",

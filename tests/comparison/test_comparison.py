@@ -88,7 +88,7 @@ def test_agents_of_one_training_seed_are_evaluated_from_the_same_starts(finished
     assert starts[0] != starts[1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_finished_runs_are_kept_and_new_ones_added_to_the_same_numbers_in_one_process(
         finished: Comparison, tmp_path: Path):
     fewer = change(agents=SMALL.agents[:2], runs=1)
@@ -104,7 +104,7 @@ def test_finished_runs_are_kept_and_new_ones_added_to_the_same_numbers_in_one_pr
         assert read_episodes(tmp_path, run) == read_episodes(finished.out, run)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_killed_writers_left_is_cleared_and_other_parts_are_left_alone(tmp_path: Path):
     grid = change(agents=["random"], runs=2, primitives=60)
     runs = run_quietly(grid, tmp_path).runs
@@ -141,7 +141,7 @@ def start_and_wait_for_news(grid_file: Path, out: Path) -> subprocess.Popen[byte
     return process
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @pytest.mark.parametrize("most", [1, pytest.param(8, marks=pytest.mark.slow)])
 def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(
         finished: Comparison, tmp_path: Path, most: int):
@@ -163,7 +163,7 @@ def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(
     assert read_tables(resumed) == read_tables(finished)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_comparison_keeps_others_out_of_its_folder_and_no_process_outlives_it_when_ctrl_c_stops_it(tmp_path: Path):
     grid = change(primitives=1_000_000, runs=1)
     write_json(tmp_path / "long.json", grid.to_dict())
@@ -217,7 +217,7 @@ def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path
     assert sorted(row.split(",")[0] for row in rows) == ["q-learning", "random"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_failed_run_is_tried_again_the_next_time(finished: Comparison, tmp_path: Path):
     grid = change(agents=SMALL.agents[:1], runs=1)
     (run,) = grid.make_runs(grid.make_places())
@@ -254,7 +254,7 @@ def test_a_folder_that_cannot_be_written_is_one_clear_message(tmp_path: Path):
         run_quietly(SMALL, tmp_path / "file" / "out")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(
         tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """The limit on a file's size stands for a disk that fills up: random's files are small, dqn's checkpoint is not.
@@ -277,7 +277,7 @@ def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(
     assert not run_quietly(grid, tmp_path / "out").failures
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     grid = change(primitives=1_000_000, runs=1, agents=["random", "random-options"])
     write_json(tmp_path / "long.json", grid.to_dict())
@@ -299,7 +299,7 @@ def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path, caps
     assert told[2].startswith("hrl-escape: ") and "no run has finished, so there is nothing to report" in told[2]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: Path):
     class Deleting(LocalLauncher):
         def run(self, runs, out, listener):

@@ -79,7 +79,7 @@ def test_rooms_of_a_grid_are_texts_in_python_too():
     assert Grid(rooms=("clutter#3",)) == Grid(rooms=(RoomSpec("clutter#3"),))
 
 
-@pytest.mark.in_turn_for("ladder")
+@pytest.mark.nightly_for("ladder")
 @pytest.mark.parametrize("grid", [*GRIDS.values(), SMALL], ids=lambda grid: grid.name)
 def test_a_grid_survives_json_and_makes_all_its_runs(grid: Grid):
     assert Grid.from_dict(grid.to_dict()) == grid

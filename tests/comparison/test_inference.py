@@ -45,6 +45,9 @@ def make_bimodal(source: np.random.Generator, runs: int, share: float = 0.7) -> 
     return np.clip(np.where(hit, 0.9, 0.05) + source.normal(0, 0.03, runs), 0, 1)
 
 
+@pytest.mark.nightly_for(
+    "compute_iqm-2-0.9", "compute_iqm-2-0.7", "compute_iqm-1-0.9", "compute_iqm-1-0.5", "compute_mean-2-0.7",
+    "compute_mean-1-0.9")
 @pytest.mark.parametrize("share", [0.5, 0.7, 0.9])
 @pytest.mark.parametrize("rooms", [1, 2])
 @pytest.mark.parametrize("statistic", [compute_iqm, compute_mean])

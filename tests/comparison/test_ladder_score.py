@@ -35,7 +35,7 @@ def test_seeds_in_one_room_are_no_evidence_about_another_room():
     assert one_room.low < 0.1 and ten_rooms.low > 0.75
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_interval_holds_over_rooms_that_vary():
     rng, caught = np.random.default_rng(3), 0
     for _ in range(100):  # rooms with a level of their own, three seeds each; the true score is the laws' own 0.5

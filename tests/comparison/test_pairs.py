@@ -25,7 +25,8 @@ def make_finals(values: np.ndarray) -> Finals:
     return {(f"room {room}", seed): float(value) for (room, seed), value in np.ndenumerate(values)}
 
 
-@pytest.mark.in_turn_for("bimodal-sizes4", "narrow-sizes9", "skewed-sizes8")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("bimodal-sizes4", "narrow-sizes9", "skewed-sizes8")
 @pytest.mark.parametrize(("shape", "sizes"), cover(list(SHAPES), [(5, 1, LEAST_RUNS), (5, 2, 5), (6, 2, 8)]))
 def test_identical_agents_are_told_apart_in_one_comparison_of_twenty_at_most(shape: str, sizes: tuple[int, int, int]):
     """300 comparisons: at a rate of 5 %, 23 or more come by chance in 2 % of tests. No interval is drawn, as verdicts

@@ -41,7 +41,7 @@ def finished(tmp_path_factory) -> Comparison:
     return run_quietly(grid, folder / "out", LocalLauncher(1))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_room(finished: Comparison):
     assert not finished.failures
     (place,) = finished.places
@@ -56,7 +56,7 @@ def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_roo
     assert by_name["random-options"].get_final("efficiency") < 1.0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learners_are_tested_in_rooms_they_trained_in_too(finished: Comparison):
     (place,) = finished.places
     for run, result in finished.runs:
@@ -69,6 +69,7 @@ def test_learners_are_tested_in_rooms_they_trained_in_too(finished: Comparison):
         assert 0.0 <= result.seen_efficiency <= 1.0
 
 
+@pytest.mark.nightly
 def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(finished: Comparison):
     summary = write_report(finished, "hrl-escape compare")
     text = (finished.out / "summary.md").read_text()

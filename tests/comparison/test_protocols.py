@@ -45,7 +45,7 @@ def test_per_instance_shows_features_unless_an_agent_reads_objects():
     assert find_observation("smdp-dqn", observation="state") == "state"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_factored_r_max_plans_over_what_the_largest_lattice_shows():
     spec = AgentSpec.parse("smdp-factored-r-max")
     grid = make_protocol_grid(BENCH, "lattice", "per-instance", (spec,), LadderSettings(rooms=1))
@@ -107,7 +107,7 @@ def test_what_a_rung_has_not_is_refused(rung, changes, error, words):
         make_protocol_grid(BENCH, rung, "generalise", AGENTS, LadderSettings(**changes))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_rung_is_passed_with_sure_escapes_and_half_the_efficiency():
     good, poor = [90.0] * 4, [-1000.0] * 4
     summary = summarise(compare({"dqn": [good] * 40, "sarsa": [poor] * 40}))

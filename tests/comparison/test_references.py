@@ -54,6 +54,7 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
     assert orders[0] == orders[2] != orders[1] and orders[0][:10] != buttons
 
 
+@pytest.mark.nightly_for("four-button-chain")
 @pytest.mark.parametrize("name", ["paper-two-button", "four-button-chain",
                                   pytest.param("ten-button", marks=pytest.mark.slow)])
 def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: str, tmp_path: Path):
@@ -67,14 +68,14 @@ def test_the_planner_is_as_efficient_as_the_best_known_in_every_episode(name: st
     assert found.successes == (True,) and found.progress == (1.0,)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_planner_makes_a_new_plan_where_noise_leads_it_away():
     noisy = dataclasses.replace(CHAIN, dynamics=dataclasses.replace(CHAIN.dynamics, noise=0.1, slip=0.05))
     found, _ = play(ORACLE, noisy, episodes=1)
     assert found.successes == (True,)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_references_run_in_a_comparison_without_training(tmp_path: Path):
     comparison = run_quietly(change(agents=(SWEEP, ORACLE, "random-options"), primitives=200), tmp_path)
     assert not comparison.failures

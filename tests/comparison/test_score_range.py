@@ -43,7 +43,7 @@ def run_plan(state) -> float:
     return total
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_best_known_is_at_least_what_a_plan_really_earns_and_at_most_what_distance_allows(tmp_path):
     score_range = compute_score_range(STARTS, AgentSpec("dqn"), tmp_path)
     assert score_range.worst == -ROOM.horizon and score_range.source == PLANNER

@@ -77,7 +77,7 @@ def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: st
     assert number == 4 and decisions[-1] == "go-to-exit"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_nearest_first_needs_less_than_a_random_order_and_that_less_than_rounds():
     rooms = [LADDER["chain-4"].test[number] for number in range(12)]
     nearest, untried, rounds = (np.mean([play(name, room, 3)[0].mean() for room in rooms])
@@ -103,7 +103,8 @@ def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(ord
     assert lit == 4 and decisions[-1] == "go-to-exit"
 
 
-@pytest.mark.in_turn_for("code")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("code")
 @pytest.mark.parametrize("rung", ["code", "switchboard"])
 def test_retracing_finds_its_way_where_the_nearest_first_goes_round_in_circles(rung: str):
     rooms = [LADDER[rung].test[number] for number in range(8)]
@@ -120,7 +121,7 @@ def test_every_outcome_of_a_draw_is_listed_once_with_its_probability():
     assert len(found) == 6 and all(each == pytest.approx(1 / 6) for each in found.values())
 
 
-@pytest.mark.in_turn_for("layered")
+@pytest.mark.nightly_for("layered")
 @pytest.mark.parametrize(("config", "count"), [
     (GraphConfig(kind="tree"), 4),
     (GraphConfig(kind="layered", max_parents=2), 5),
@@ -158,7 +159,7 @@ def test_the_room_configuration_of_a_room_is_the_one_that_draws_its_puzzle():
 # --- beliefs -------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("6")
+@pytest.mark.nightly_for("6")
 @pytest.mark.parametrize("count", range(1, 7))
 def test_a_chain_takes_the_presses_that_are_known_exactly(count: int):
     """With one primitive a press, a chain of n needs n(n + 3)/4 presses in the mean and no searcher fewer."""
@@ -207,7 +208,7 @@ def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: Any, kind:
         assert graph.solve(made)[graph.root, 3] == pytest.approx(search(family, ways, leaving, failure), rel=1e-5)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_who_must_find_out_what_a_mistake_does_pays_what_was_foretold(monkeypatch: pytest.MonkeyPatch):
     """Played against each of the six orders under each of the three rules; to fail costs what the exit is worth."""
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation="drawn"))
@@ -225,7 +226,7 @@ def pay(name: str, room: RoomInstance) -> float:
     return float(found.lengths[0]) + 100.0 * (not found.successes[0])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_over_all_graphs_of_a_room_who_knows_the_odds_needs_least_and_what_was_foretold():
     """Played against each of the 24 orders in turn; ways between buttons are known to a primitive or two."""
     config = get_preset("four-button-chain")
@@ -249,6 +250,7 @@ def foretell(room: RoomInstance, puzzle: Any) -> float:
                for button in range(count))
 
 
+@pytest.mark.nightly
 def test_where_graphs_are_too_many_a_sample_has_their_odds():
     puzzle, count = LADDER["lattice-5"].config.puzzle, 5
     assert isinstance(puzzle, ButtonsConfig)
@@ -409,7 +411,7 @@ def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
     rng = np.random.default_rng(3)
     for truth in (1.0, 0.7):
@@ -422,7 +424,7 @@ def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
             assert particles.compute_odds(0) == pytest.approx(family.weights @ could_light, abs=0.12)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatch: pytest.MonkeyPatch):
     lengths = {}
     for shuffled in (False, True):

@@ -63,7 +63,7 @@ def test_iqm_is_scipys_trimmed_mean_of_all_runs_of_all_rooms(scores):
     assert compute_iqm(scores) == pytest.approx(stats.trim_mean(np.concatenate(scores), 0.25))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.lists(runs, min_size=1, max_size=4))
 def test_iqm_of_runs_with_weights_is_that_of_as_many_copies(scores):
     """Weights of 1/4 and 3/4 are one copy and three, in a number that quarters divide."""

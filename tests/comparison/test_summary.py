@@ -64,7 +64,7 @@ def test_first_escapes_count_runs_without_one_at_the_budget():
     assert agent.first_escape.low < 625 < agent.first_escape.high <= 1000
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_rooms_weigh_the_same_and_are_never_mixed():
     summary = summarise(compare({"dqn": [make(0.2)] * 4 + [make(0.5)] * 4,
                                  "ppo": [make(0.1)] * 4 + [make(0.8)] * 4}, rooms=2))
@@ -155,7 +155,7 @@ def test_agents_are_compared_run_by_run_with_the_same_seed():
     assert summary.get_pair(*summary.agents[::-1]) == pair.turn()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_all_pairs_are_one_family_but_for_the_planner():
     agents = {name: [make(s) for s in (0.2, 0.4, 0.8, 0.5, 0.32)[n:] + (0.2, 0.4, 0.8, 0.5, 0.32)[:n]]
               for n, name in enumerate(("dqn", "ppo", "sarsa"))}

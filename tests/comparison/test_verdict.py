@@ -30,7 +30,7 @@ GOOD = runs(80, 81, 81, 82, 82, 82, 83, 83, 84, 85)
 CHANCE = runs(10, 12, 13, 14, 15, 15, 16, 17, 18, 20)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
     said = judge({"random": NEVER, "dqn": NEVER, "random-options": CHANCE, "smdp-dqn": GOOD})
     assert said["headline"] == ["`smdp-dqn` is best: it escapes every time, in 19 primitives."]
@@ -141,7 +141,7 @@ def test_who_is_told_how_rooms_are_drawn_is_no_bar():
     assert "`search-nearest`, escapes" in told and told.endswith("`smdp-dqn`, trained in this room, is better.")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learners_are_measured_against_the_best_searcher_that_learns_nothing():
     start = "The best search baseline, `search-nearest`, escapes every time, in "
     rule = ("It presses what is unlit and untried since the lights last changed, the nearest first, and starts every "

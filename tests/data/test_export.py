@@ -12,6 +12,7 @@ from hrl_escape.errors import UnsupportedError
 from tests.data.small import make_recording
 
 
+@pytest.mark.nightly
 def test_ogbench_files_have_a_row_a_state_and_one_trajectory_in_ten_is_for_validation(tmp_path):
     data = load_data(make_recording("stitch"), observation="features")
     whole = data.read()
@@ -50,7 +51,7 @@ def test_ogbenchs_own_loader_gives_the_transitions(tmp_path):
     assert np.array_equal(found["actions"], whole.action[kept])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_minari_reads_both_sets_recovers_their_environments_and_normalises_scores(tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")
@@ -77,6 +78,7 @@ def test_minari_reads_both_sets_recovers_their_environments_and_normalises_score
     assert minari.get_normalized_score(options, returns) == pytest.approx([0, 1])
 
 
+@pytest.mark.nightly
 def test_the_sets_lie_in_the_folder_that_is_given(tmp_path, monkeypatch):
     minari = pytest.importorskip("minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "own"))

@@ -15,6 +15,7 @@ from hrl_escape.options.degraded import OptionDegradation
 from tests.data.small import make_recording, save_small
 
 
+@pytest.mark.nightly_for("play-objects-0.99", "noisy-features-0.7")
 @pytest.mark.parametrize("gamma", [0.99, 0.7])
 @pytest.mark.parametrize(("kind", "observation"), [("play", "objects"), ("noisy", "features")])
 def test_a_run_of_options_and_its_replay_agree_to_the_bit(gamma, kind, observation):
@@ -80,7 +81,7 @@ def test_stitched_trajectories_have_one_or_two_decisions_and_never_lead_from_sta
     assert (data.last & ~data.terminated).sum() > 4 * data.terminated.sum() > 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_pictures_are_replayed_by_the_engine_that_took_them():
     recording = make_recording("expert", primitives=100)
     data = load_data(recording, observation="pixels").read()

@@ -74,6 +74,7 @@ def test_exploration_is_of_primitives_alone():
     np.testing.assert_allclose(np.bincount(recording.action) / len(recording.action), 1 / 6, atol=0.04)
 
 
+@pytest.mark.nightly
 def test_medium_learns_as_it_is_recorded_exploring_a_tenth_of_the_time(tmp_path, monkeypatch):
     monkeypatch.setitem(train_medium.__globals__, "MEDIUM_PRIMITIVES", 40)
     agent = train_medium(load_benchmark("ladder-1")["pair"].train[:2], tmp_path / "run")

@@ -121,6 +121,7 @@ def test_members_that_claim_more_than_they_hold_are_refused_before_memory_is_tak
         load_recording(tmp_path / "wrong.npz")
 
 
+@pytest.mark.nightly
 def test_a_small_file_that_unpacks_to_gigabytes_is_refused_by_its_claim(tmp_path):
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         for name in (*FIELDS, "about"):

@@ -31,6 +31,9 @@ def pages_with(language: str) -> list[Path]:
     return [page for page, blocks in BLOCKS.items() if any(block.language == language for block in blocks)]
 
 
+@pytest.mark.nightly_for(
+    "docs/planning/trajectories.md", "docs/data.md", "docs/planning/arm.md", "docs/ladder.md", "docs/agents/dac.md",
+    "docs/extend/robot.md", "docs/reproducibility.md", "docs/metrics.md")
 @pytest.mark.parametrize("page", pages_with("python"), ids=name_page)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A page's blocks in order, as one program."""
@@ -43,6 +46,9 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
                 exec(program, names)
 
 
+@pytest.mark.nightly_for(
+    "docs/hierarchies.md", "docs/agents/offline.md", "docs/data.md", "docs/ladder.md", "docs/agents/index.md",
+    "docs/viewer.md")
 @pytest.mark.parametrize("page", pages_with("console"), ids=name_page)
 def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.chdir(tmp_path)

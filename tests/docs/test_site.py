@@ -35,6 +35,7 @@ def read(page: Path) -> str:
     return " ".join(html.unescape(re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8"))).split())
 
 
+@pytest.mark.nightly
 def test_a_page_that_is_wrong_fails_the_build(tmp_path: Path):
     """The strictness is real; pages alone, without what the package says."""
     (tmp_path / "conf.py").write_text((ROOT / "docs/conf.py").read_text().replace(

@@ -42,7 +42,7 @@ def test_it_is_an_environment_of_gymnasium(config):
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_action_space_is_the_robot_s():
     env = EscapeRoomContinuousEnv("arm-two-button", speed=0.7, joint_speed=20.0)
     assert env.action_space.high == pytest.approx([0.7, 0.7, 1.5, 10.0, 10.0, 10.0]), "the URDF allows 10 rad/s"
@@ -50,7 +50,7 @@ def test_the_action_space_is_the_robot_s():
     assert other.action_space.shape == (2,)
 
 
-@pytest.mark.in_turn_for("door-free-0")
+@pytest.mark.nightly_for("door-free-0")
 @pytest.mark.parametrize(("preset", "seed"), [
     ("paper-random", 1), ("arm-two-button", 0), ("door-free", 0), ("taxi", 0), ("blocks-world", 1), ("door-key", 2),
     ("sokoban", 3),

@@ -28,7 +28,7 @@ def make_room(seed: int):
     return generate(CONFIG, seed)
 
 
-@pytest.mark.in_turn_for("1", "2")
+@pytest.mark.nightly_for("1", "2")
 @pytest.mark.parametrize("seed", range(3))
 def test_the_planner_avoids_dead_ends_and_the_certificate_holds(seed):
     room = make_room(seed)
@@ -50,13 +50,13 @@ def test_no_plan_leads_out_of_a_dead_end():
         RoomPlanner(room).solve(state)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_both_engines_agree_on_dead_ends():
     found = compare([make_room(seed) for seed in range(3)], 400, copies=4)
     assert not found.disagreements, found.disagreements[0]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_locked_button_is_that_of_a_state_machine():
     """Three buttons: the goal needs the first two, and the second locks the first."""
 

@@ -72,7 +72,7 @@ def test_nothing_moves_sideways():
     env.close()
 
 
-@pytest.mark.in_turn_for("dynamics1", "dynamics2")
+@pytest.mark.nightly_for("dynamics1", "dynamics2")
 @pytest.mark.parametrize("dynamics", [DynamicsConfig(), DynamicsConfig(noise=0.2, slip=0.2, slip_kind="any"),
                                       DynamicsConfig(slip=0.3, slip_kind="neighbour", blocked="stay")])
 def test_the_batched_engine_agrees_with_the_scalar_rules(dynamics):
@@ -81,7 +81,7 @@ def test_the_batched_engine_agrees_with_the_scalar_rules(dynamics):
     assert found.primitives >= 600 and not found.disagreements and found.close_calls <= 1 and found.worst < 1e-9
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_batched_engine_agrees_with_the_bullet_engine():
     room = generate(SMALL, 1)
     batch, bullet = TensorRoom(Rooms(instance=room), autoreset="disabled"), BulletRoom(room)
@@ -112,7 +112,7 @@ def test_slips_to_the_side_are_refused():
         dataclasses.replace(SMALL, dynamics=DynamicsConfig(slip=0.1, slip_kind="lateral"))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_sufficient_condition_asks_for_headings_straight_at_the_walls():
     plain = dataclasses.replace(SMALL, obstacles=ObstaclesConfig(count=0), puzzle=ButtonsConfig(count=1))
     for turn, drive, holds in ((15, "differential", True), (12, "differential", False), (12, "strafing", True)):
@@ -167,6 +167,7 @@ def test_base_and_arm_are_not_planned_as_if_the_base_strafed():
         planner.plan_whole_body(planner.rules.make_state(planner.instance.starts[0]), (0, 0, 0), (0.0, 0.0))
 
 
+@pytest.mark.nightly
 def test_options_of_both_kinds_reach_their_goals():
     found = compare_options([generate(dataclasses.replace(SMALL, obstacles=ObstaclesConfig(count=0)), 1)], 12)
     assert found.decisions >= 8 and not found.missed

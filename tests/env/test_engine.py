@@ -80,6 +80,7 @@ def test_a_room_without_a_window_is_drawn_and_closes():
         room.step(0)
 
 
+@pytest.mark.nightly
 def test_commands_load_no_engine_until_they_need_one():
     script = "import sys, hrl_escape.commands.list, hrl_escape.commands.room; print('pybullet' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "False"

@@ -71,7 +71,7 @@ def test_stable_baselines3s_checker_finds_nothing(name, kind):
         env.close()
 
 
-@pytest.mark.in_turn_for("hrl_escape/PuddleWorld-v1-state")
+@pytest.mark.nightly_for("hrl_escape/PuddleWorld-v1-state")
 @pytest.mark.parametrize(("name", "kind"), cover(IDS, KINDS))
 def test_observations_are_as_documented(name, kind):
     env = gymnasium.make(name, observation=kind)
@@ -135,7 +135,7 @@ print(digest.hexdigest())
 """
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "hrl_escape/Clutter-v1-arguments0", "hrl_escape/EscapeRoom-v1-arguments3",
     "hrl_escape/FourButtonChain-v1-arguments2")
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_wrappers_of_gymnasium_work(tmp_path):
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_recording_a_video_works(tmp_path):
     env = gymnasium.make("hrl_escape/PaperOneButton-v1", render_mode="rgb_array", render_size=(160, 120))
     env = gymnasium.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True)
@@ -203,7 +203,7 @@ def test_recording_a_video_works(tmp_path):
     assert [f.stat().st_size > 1000 for f in tmp_path.glob("*.mp4")] == [True]
 
 
-@pytest.mark.in_turn_for("async")
+@pytest.mark.nightly_for("async")
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vector_environments_match_single_ones(mode):
     rooms = gymnasium.make_vec("hrl_escape/Clutter-v1", num_envs=2, vectorization_mode=mode)
@@ -242,7 +242,7 @@ def test_an_instance_can_be_given_as_object_or_file(tmp_path):
         EscapeRoomEnv(instance=instance, resample_instance=True)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_many_rooms_live_in_one_process_and_all_is_freed():
     import pybullet
 
@@ -287,7 +287,7 @@ def test_calls_out_of_order_are_refused():
             call()
 
 
-@pytest.mark.in_turn_for("arguments7-GenerationError-button")
+@pytest.mark.nightly_for("arguments7-GenerationError-button")
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [

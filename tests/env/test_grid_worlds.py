@@ -55,7 +55,7 @@ def iterate_values(outcomes: list[list[list[tuple[float, int, float, bool]]]], g
 # --- Four Rooms ---------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("any", "neighbour")
+@pytest.mark.nightly_for("any", "neighbour")
 @pytest.mark.parametrize("slip", ["none", "any", "neighbour"])
 def test_four_rooms_have_the_published_values(slip):
     room = generate(get_preset("four-rooms", slip=slip), 0)
@@ -151,7 +151,7 @@ def decode(state: RoomState) -> int:
     return ((round(2 - state.y / 2) * 5 + round(state.x / 2 + 2)) * 5 + ride.passenger) * 4 + ride.destination
 
 
-@pytest.mark.in_turn_for("True-True-None", "False-True-None")
+@pytest.mark.nightly_for("True-True-None", "False-True-None")
 @pytest.mark.parametrize(("rainy", "fickle", "published"), [
     (False, False, 7.93), (True, False, 3.9546), (False, True, None), (True, True, None)])
 def test_optimal_values_of_taxi_in_the_room_are_those_of_the_domain(rainy, fickle, published):
@@ -214,7 +214,7 @@ def learn(reset, step, episodes: int) -> list[float]:
     return [*returns, float(table.sum())]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learning_curves_of_taxi_carry_over_to_the_bit():
     """The same starts and the same learner: Gymnasium's Taxi and the room's give the same curve and the same table."""
     room, taxi = make_taxi(False, False), gymnasium.make("Taxi-v4")
@@ -244,7 +244,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
     assert np.mean(curve[30:40]) > np.mean(curve[:10]), "something is learned"
 
 
-@pytest.mark.in_turn_for("four-rooms")
+@pytest.mark.nightly_for("four-rooms", "puddle-world")
 @pytest.mark.parametrize("config", [
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
     get_preset("foraging"),

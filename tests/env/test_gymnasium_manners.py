@@ -153,13 +153,15 @@ def test_training_in_many_rooms_refuses_a_limit_of_decisions():
         train("smdp-ppo", rooms, primitives=10)
 
 
-def test_specifications_give_the_horizon_and_make_the_same_again():
-    for name, steps in ((FLAT, 1000), (OPTIONS, 1000), (VELOCITIES, 10_000), ("hrl_escape/Ladder-v1", 1000)):
-        one = gymnasium.make(name)
-        assert one.spec.max_episode_steps == steps and gymnasium.make(one.spec).spec == one.spec
-        many = gymnasium.make_vec(name, num_envs=2)
-        assert many.spec.max_episode_steps == steps and gymnasium.make_vec(many.spec).spec == many.spec
-        assert gymnasium.spec(name).max_episode_steps is None
+@pytest.mark.parametrize(("name", "steps"), [
+    (FLAT, 1000), (OPTIONS, 1000), (VELOCITIES, 10_000),
+    pytest.param("hrl_escape/Ladder-v1", 1000, marks=pytest.mark.nightly)])
+def test_specifications_give_the_horizon_and_make_the_same_again(name, steps):
+    one = gymnasium.make(name)
+    assert one.spec.max_episode_steps == steps and gymnasium.make(one.spec).spec == one.spec
+    many = gymnasium.make_vec(name, num_envs=2)
+    assert many.spec.max_episode_steps == steps and gymnasium.make_vec(many.spec).spec == many.spec
+    assert gymnasium.spec(name).max_episode_steps is None
 
 
 # --- infos and spaces of batches --------------------------------------------------------------------
@@ -181,6 +183,7 @@ def test_the_masks_of_infos_may_be_written_into(name, output):
     assert [each.tolist() for each in others] == [[True] * 3] * 3
 
 
+@pytest.mark.nightly_for("Ladder")
 @pytest.mark.parametrize("name", ["PaperOneButton", "PaperOneButtonOptions", "LightsOutOptions", "Ladder",
                                   "EscapeRoomContinuous"])
 def test_one_id_has_the_same_observations_for_one_room_and_for_many(name):

@@ -69,7 +69,7 @@ def get_puzzle(room: RoomInstance) -> ButtonsPuzzle:
     return room.puzzle
 
 
-@pytest.mark.in_turn_for("1", "2", "3")
+@pytest.mark.nightly_for("1", "2", "3")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_every_room_is_certified_and_escaped_and_no_bound_is_broken(seed):
     room = make_room(seed)
@@ -98,7 +98,7 @@ def test_the_doors_on_a_way_are_those_that_floor_space_says(seed):
             assert blocked == (len(shut) == 1 and shut[0] in way)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_some_rooms_need_a_button_for_the_way_out_alone():
     graph, found = GraphConfig(kind="random", edge_probability=0), 0
     for seed in range(12):
@@ -109,7 +109,7 @@ def test_some_rooms_need_a_button_for_the_way_out_alone():
     assert found > 2
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_both_engines_agree_over_rooms_with_different_numbers_of_doors():
     rooms = [generate(change(count=Between(3, 6), doors=Between(0, 3)), seed) for seed in range(4)]
     assert len({len(room.inner_doors) for room in rooms}) > 2
@@ -242,7 +242,7 @@ class KeyPuzzle(Doored, Modelled, Puzzle):
         return SymbolicModel(facts, operators, frozenset({facts[1]}))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_puzzle_of_ones_own_opens_a_door_with_a_key():
     check_puzzle(KeyPuzzle(), steps=40)
     config = RoomConfig(room=ShapeConfig(rooms=2), robot=RobotConfig(body_radius=0.5, gripper=True), puzzle=KeyConfig())

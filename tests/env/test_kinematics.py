@@ -30,7 +30,7 @@ def play(kinematics, state, actions):
         yield transition
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 5), st.integers(0, 2**32))
 def test_the_body_keeps_its_clearance_whatever_it_does(name, seed, episode):
@@ -85,7 +85,7 @@ def test_the_published_rule_turns_all_lights_off():
     assert steps[-1].state.puzzle == 1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.sampled_from([1, 5, 10, 15, 36, 45, 120]), st.integers(-5, 5), st.floats(-0.1, 0.1))
 def test_a_full_circle_of_turns_gives_the_same_float(step, laps, offset):
     config = RoomConfig(robot=RobotConfig(turn_step_deg=step))
@@ -201,7 +201,7 @@ def test_the_door_blocks_until_the_puzzle_is_solved():
     assert kinematics.compute_free_fraction(door.x, door.y, -0.1 * push[0], -0.1 * push[1], 0) == 1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=20)
 @given(st.sampled_from(QUICK), st.integers(0, 3), st.integers(0, 2**32))
 def test_kinematics_are_a_pure_function_of_state_and_action(name, seed, episode):

@@ -175,7 +175,7 @@ def find_fewest(room) -> int:
     raise AssertionError("no way")
 
 
-@pytest.mark.in_turn_for("DoorKey-8x8-1")
+@pytest.mark.nightly_for("DoorKey-8x8-1")
 @pytest.mark.parametrize(("name", "seed"), [
     ("DoorKey-5x5", 0), ("DoorKey-8x8", 1), ("KeyCorridorS3R2", 0), ("KeyCorridorS3R3", 2), ("MultiRoom-N2-S4", 0)])
 def test_rooms_are_minigrids_levels_transition_by_transition(name, seed):
@@ -213,7 +213,7 @@ def test_levels_of_a_batch_have_as_many_doors_each():
 LEVELS = [("door-key", {"size": 5}), ("door-key", {}), ("key-corridor", {}), ("multi-room", {"rooms": 3})]
 
 
-@pytest.mark.in_turn_for("multi-room-arguments3", "door-key-arguments1", "key-corridor-arguments2")
+@pytest.mark.nightly_for("multi-room-arguments3", "door-key-arguments1", "key-corridor-arguments2")
 @pytest.mark.parametrize(("name", "arguments"), LEVELS)
 def test_every_level_can_be_escaped_and_both_engines_agree(name, arguments):
     config = get_preset(name, **arguments)
@@ -240,7 +240,7 @@ def test_both_engines_agree_over_100_000_primitives(name):
     assert found.primitives == 100_000 and not found.disagreements, found.disagreements[0]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_both_engines_agree_along_an_escape_and_on_what_is_seen():
     """Random play seldom opens a door: the plan does, and lidar looks through it."""
     room = generate(get_preset("key-corridor", size=3), 0)
@@ -309,7 +309,7 @@ def test_routes_are_remembered_by_the_doors_that_are_shut():
     assert planner.plan(shut._replace(puzzle=3 << 2 * number), goal).cost > 0, "the exit is shut in both"
 
 
-@pytest.mark.in_turn_for("key-corridor-0")
+@pytest.mark.nightly_for("key-corridor-0")
 @pytest.mark.parametrize(("name", "seed"), [("door-key", 0), ("key-corridor", 0)])
 def test_a_key_that_was_put_down_elsewhere_is_planned_for_where_it_lies(name, seed):
     """In every free cell that the room's own steps reach without the key, behind other doors, too."""

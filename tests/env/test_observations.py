@@ -79,6 +79,7 @@ def test_one_entry_shows_an_observation_in_every_environment(compass):
     assert tensors.observation_spec["observation"].shape == (3, 2)
 
 
+@pytest.mark.nightly
 def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path):
     """A package that is installed with an entry point, as a stranger's is."""
     (tmp_path / "planted_compass.py").write_text(COMPASS)

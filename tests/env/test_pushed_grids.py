@@ -147,7 +147,7 @@ def test_a_box_that_does_not_move_is_found_out():
         check_isomorphism(gymnasium.make("hrl_escape/Sokoban-v1", instance=room), Stuck(room.puzzle.rows))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_drawn_levels_are_certified_and_escaped_by_the_fewest_moves():
     """Small ones, so that breadth-first search over their own rules is quick."""
     for seed in range(12):
@@ -158,7 +158,7 @@ def test_drawn_levels_are_certified_and_escaped_by_the_fewest_moves():
         assert plan.cost == Sokoban(room.puzzle.rows).count_fewest()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_search_finds_the_fewest_moves_or_that_there_are_none():
     rng, solvable = np.random.default_rng(0), 0
     for _ in range(120):
@@ -185,7 +185,7 @@ def test_the_rules_keep_the_contract(config):
     check_puzzle(config.make_puzzle(np.random.default_rng(0)), steps=60)
 
 
-@pytest.mark.in_turn_for("6-4")
+@pytest.mark.nightly_for("6-4")
 @pytest.mark.parametrize(("size", "boxes"), [(5, 2), (6, 4)])
 def test_both_engines_agree_where_boxes_are_pushed(size, boxes):
     rooms = [generate(get_preset("sokoban", size=size, boxes=boxes), seed) for seed in range(3)]
@@ -326,7 +326,7 @@ class KeyChest:
         return column - 8.0, 6.0 - row, has_key
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_is_hracs_key_chest_move_by_move():
     env = gymnasium.make("hrl_escape/KeyChest-v1", instance=generate(get_preset("key-chest", random_start=True), 0))
     domain = KeyChest()
@@ -336,7 +336,7 @@ def test_a_room_is_hracs_key_chest_move_by_move():
     assert starts == [{domain.encode((domain.start, 0))[:2]}, {domain.encode((cell, 0))[:2] for cell in domain.cells}]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_key_chest_has_the_domains_values():
     """Best discounted return by both models; each slip is drawn by the room's own numbers."""
     room, domain = generate(get_preset("key-chest", random_start=True), 0), KeyChest()

@@ -44,7 +44,7 @@ def rooms() -> list[RoomInstance]:
     return [generate(VARIED, seed) for seed in range(8)]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_instances_differ_within_the_ranges_and_each_seed_gives_one_room(rooms):
     assert {len(room.targets) for room in rooms} == {2, 3, 4, 5}
     assert len({room.half_width for room in rooms}) == len(rooms)
@@ -66,7 +66,7 @@ def test_a_room_configuration_with_ranges_survives_json_and_pickling():
     assert VARIED.to_dict()["puzzle"]["count"] == "2..5" and VARIED.to_dict()["room"]["width"] == "12.0..18.0"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_instance_with_a_frame_survives_its_file(rooms, tmp_path):
     rooms[0].save(tmp_path / "room.json")
     assert RoomInstance.load(tmp_path / "room.json") == rooms[0]
@@ -98,6 +98,7 @@ def test_an_impossible_range_is_refused(make, word):
         make()
 
 
+@pytest.mark.nightly_for("egocentric")
 @pytest.mark.parametrize("observation", VECTORS)
 def test_every_instance_has_the_same_spaces_in_both_engines(rooms, observation):
     batched = EscapeRoomVectorEnv(len(rooms), instance=rooms, observation=observation)
@@ -108,7 +109,7 @@ def test_every_instance_has_the_same_spaces_in_both_engines(rooms, observation):
         single.close()
 
 
-@pytest.mark.in_turn_for("clutter")
+@pytest.mark.nightly_for("clutter")
 @pytest.mark.parametrize("name", ["clutter", "door"])
 def test_a_door_in_another_wall_changes_no_space(name):
     config = get_preset("clutter") if name == "clutter" else RoomConfig(exit=ExitConfig(door=True, width=2.4))
@@ -120,7 +121,7 @@ def test_a_door_in_another_wall_changes_no_space(name):
     env.close()
 
 
-@pytest.mark.in_turn_for("egocentric", "objects")
+@pytest.mark.nightly_for("egocentric", "objects")
 @pytest.mark.parametrize("observation", VECTORS)
 def test_rooms_of_different_sizes_step_alike_in_both_engines(rooms, observation):
     batched = EscapeRoomVectorEnv(len(rooms), instance=rooms, observation=observation)
@@ -154,7 +155,7 @@ def test_synchronous_vectors_take_rooms_of_different_sizes():
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
     rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     batched = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
@@ -171,7 +172,7 @@ def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
         env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_options_go_on_when_the_next_room_has_another_number_of_buttons():
     env = OptionsEnv(EscapeRoomEnv(VARIED, resample_instance=True), include_primitives=False)
     counts = set()
@@ -183,7 +184,7 @@ def test_options_go_on_when_the_next_room_has_another_number_of_buttons():
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     env = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
@@ -198,7 +199,8 @@ def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     assert escaped.all()
 
 
-@pytest.mark.in_turn_for("8")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("8")
 @pytest.mark.parametrize("most", [4, 8])
 def test_paper_random_gives_every_seed_a_room_of_its_own(most):
     rooms = [generate(get_preset("paper-random", most=most), seed) for seed in range(40)]

@@ -107,7 +107,7 @@ def test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_h
 # --- physics --------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("strafing")
+@pytest.mark.nightly_for("strafing")
 @pytest.mark.parametrize("drive", ["strafing", "differential"])
 def test_rigid_rectangles_stop_at_walls_turn_as_far_as_they_can_and_states_can_be_set(drive):
     env = EscapeRoomEnv(instance=generate(with_physics(change(SMALL, drive=drive)), 3))
@@ -177,7 +177,7 @@ def test_a_turn_that_a_wall_blocks_for_one_drive_is_made_again_after_backing_off
     assert rules.step(rules.step(state, forward).state, back).state.y == state.y  # it slides along the wall
 
 
-@pytest.mark.in_turn_for("door", "plain")
+@pytest.mark.nightly_for("door", "plain", "differential-stay")
 @pytest.mark.parametrize(("config", "seeds"), [
     (SMALL, 2),
     (change(dataclasses.replace(SMALL, dynamics=DynamicsConfig(noise=0.2, slip=0.2, slip_kind="any")), joints=1), 2),
@@ -191,7 +191,7 @@ def test_the_batched_engine_agrees_with_the_scalar_rules(config, seeds):
     assert found.primitives >= 500 and not found.disagreements and found.close_calls <= 1 and found.worst < 1e-9
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_batched_engine_agrees_with_the_bullet_engine_whose_base_is_a_box():
     room = generate(SMALL, 1)
     batch, bullet = TensorRoom(Rooms(instance=room), autoreset="disabled"), BulletRoom(room)
@@ -230,7 +230,8 @@ def test_a_button_is_pressed_by_a_side_that_touches_it_and_by_a_turn_that_brings
 # --- the certificate ------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("strafing")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("strafing")
 @pytest.mark.parametrize("drive", ["strafing", "differential"])
 def test_rooms_are_certified_for_the_rectangle_through_doorways_that_are_shorter_than_it(drive):
     room = generate(change(NARROW, drive=drive), 2)
@@ -294,7 +295,7 @@ def find_fewest(rules: Kinematics, state: RoomState, goal: PoseGoal) -> int | No
     return None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_plans_are_as_short_as_an_exhaustive_search_of_a_lattice_and_none_is_missed():
     """Quarter turns, moves that are made whole or not at all: places stay on a lattice, and turns decide the way."""
     robot = dataclasses.replace(ROBOT, turn_step_deg=90, move_step=0.5, drive="differential")
@@ -329,7 +330,7 @@ def test_seeds_of_a_press_are_poses_that_touch_it_or_do_so_after_one_primitive()
         assert state.touching & 1 if seeds.costs[number] == 0 else not state.touching & 1 and any(after)
 
 
-@pytest.mark.in_turn_for("corridor")
+@pytest.mark.nightly_for("corridor")
 @pytest.mark.parametrize("method", ["fields", "corridor"])
 def test_plans_come_true_and_are_no_shorter_than_their_bounds(method):
     for seed in range(2):

@@ -84,6 +84,9 @@ def test_a_time_penalty_makes_the_return_minus_the_length():
     assert terminated and sum(earned) == -plan.cost == plan.compute_return()
 
 
+@pytest.mark.nightly_for(
+    "inner-doors-time-penalty", "inner-doors-potential", "lights-out-time-penalty", "lights-out-everything",
+    "paper-two-button-potential")
 @pytest.mark.parametrize("reward", [PotentialReward(gamma=0.95), TimePenaltyReward(), EverythingReward(0.5)],
                          ids=lambda reward: reward.kind)
 @pytest.mark.parametrize("preset", ["paper-two-button", "inner-doors", "lights-out"])

@@ -102,7 +102,7 @@ def find_hands_by_bullet(robot: Robot, angles: np.ndarray, folder: Path) -> np.n
     return np.array(hands)
 
 
-@pytest.mark.in_turn_for("franka-panda")
+@pytest.mark.nightly_for("franka-panda")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_hand_is_where_pinocchio_and_bullet_have_it(name: str, tmp_path: Path):
     robot = make_robot(ROBOTS[name])
@@ -192,7 +192,7 @@ def test_sampled_hand_positions_lie_on_the_lattice_and_spread_over_it():
     assert sampled <= every and len(sampled) > 150
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_sampled_hand_positions_are_the_same_in_every_process():
     code = ("from hrl_escape.env.config import RobotConfig;"
             "from hrl_escape.env.robot import make_robot, sample_hand_positions;"

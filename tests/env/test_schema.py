@@ -55,7 +55,7 @@ print(json.dumps({"ids": [room.id for room in rooms], "other": other.id, "robot"
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_new_fields_change_no_id_until_they_say_something():
     script = PLANT.replace("PRESETS", repr(PRESETS)).replace("SEEDS", f"range({len(SEEDS)})")
     done = run_fork(script)

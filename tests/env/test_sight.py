@@ -23,7 +23,7 @@ sizes = st.floats(0.05, 3)
 shapes = st.builds(make_footprint, numbers, numbers, sizes, sizes, st.floats(-4, 4), st.booleans())
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.lists(shapes, min_size=1, max_size=5), numbers, numbers)
 def test_rays_end_on_the_first_outline_they_meet(some, px, py):
     assume(all(compute_distance(px, py, shape) > 1e-3 for shape in some))
@@ -98,7 +98,7 @@ def test_joints_and_blocks_are_seen():
     env.close()
 
 
-@pytest.mark.in_turn_for("push-block")
+@pytest.mark.nightly_for("push-block")
 @pytest.mark.parametrize("name", ["paper-two-button", "push-block", "clutter"])
 def test_a_deep_copy_goes_on_with_the_same_episode(name):
     env = gymnasium.make(f"hrl_escape/{''.join(word.capitalize() for word in name.split('-'))}-v1")

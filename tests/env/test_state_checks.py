@@ -52,7 +52,7 @@ def test_what_is_no_state_is_refused(env, value):
         env.set_state(value)
 
 
-@pytest.mark.in_turn_for("many-obstacles")
+@pytest.mark.nightly_for("many-obstacles")
 @pytest.mark.parametrize("name", thin(sorted(set(all_configs()) - {"largest"}), 3))
 def test_every_state_that_an_episode_reaches_passes(name):
     config = all_configs()[name]
@@ -81,7 +81,7 @@ def test_no_robot_stands_outside_the_walls_beside_an_alcove(seed):
     check_state(rules, state._replace(x=room.exit.centre[0], y=room.exit.centre[1]))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_every_state_that_physics_reaches_passes_and_parts_of_another_room_do_not():
     env = EscapeRoomEnv("push-block")
     env.reset(seed=0)

@@ -19,7 +19,7 @@ def test_its_specs_say_what_it_does(name, kind):
     check_env_specs(EscapeRoomTorchRLEnv(6, name, num_instances=2, observation=kind), seed=0)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_it_is_the_same_room_as_the_gymnasium_vector():
     ours = EscapeRoomTorchRLEnv(5, "clutter", num_instances=3)
     theirs = EscapeRoomVectorEnv(5, "clutter", num_instances=3, observation="features", output="torch")
@@ -55,7 +55,7 @@ def test_exits_and_resets_go_by_room():
     assert not again["done"].any()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_rollout_and_a_collector_collects_it():
     def collect():
         env = EscapeRoomTorchRLEnv(4, "arm-two-button")

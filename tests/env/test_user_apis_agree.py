@@ -17,7 +17,7 @@ CONFIG = dataclasses.replace(get_preset("four-button-chain"), start=StartConfig(
                              dynamics=DynamicsConfig(noise=0.1, slip=0.1))
 
 
-@pytest.mark.in_turn_for("AutoresetMode.SAME_STEP")
+@pytest.mark.nightly_for("AutoresetMode.SAME_STEP")
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_alone_in_turn_and_in_a_batch_seeds_give_the_same_episodes_and_infos(mode):
     alone = EscapeRoomEnv(CONFIG)

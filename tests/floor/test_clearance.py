@@ -62,7 +62,7 @@ def test_free_places_are_those_of_bullet():
     assert checked > 400
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_moves_are_free_as_a_fine_walk_along_them_says():
     instance = generate(get_preset("clutter"), 2)
     collision = CollisionMap(instance, door_shut=True)
@@ -132,7 +132,7 @@ def test_nothing_that_the_room_is_certified_for_is_proven_impossible(seed):
         assert collision.find_proof(start.x, start.y, target.footprint, reach) is None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_vast_rooms_keep_a_bounded_grid():
     config = RoomConfig(room=ShapeConfig(width=200, depth=200), obstacles=ObstaclesConfig(count=30))
     collision = CollisionMap(generate(config, 0), door_shut=True, reach=1.0)

@@ -41,7 +41,7 @@ def sample_places(rules, maker, count, seed=0):
 # --- sweeps ----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("clutter-True", "clutter-False", "custom-True", "larg-2019-True")
+@pytest.mark.nightly  # `test_dijkstra.py` compares sweeps of a rectangle, and compiles less
 @pytest.mark.parametrize("shut", [True, False])
 @pytest.mark.parametrize("config", [
     get_preset("clutter"),
@@ -65,6 +65,7 @@ def test_compiled_sweeps_are_bit_for_bit_those_of_the_kinematics(config, shut):
     assert cut > 150
 
 
+@pytest.mark.nightly
 def test_a_shut_door_holds_nobody_who_stands_in_it():
     rules, shut = make_maker(get_preset("clutter"), 1)
     door, puzzle = rules.instance.door, rules.instance.puzzle.make_state()
@@ -97,7 +98,7 @@ def test_representative_places_are_free_and_doorways_are_not_lost():
                                    pytest.param("40 obstacles", marks=pytest.mark.slow), "interior walls"])
 def test_prices_are_near_the_fewest_primitives(floor):
     errors = []
-    for query in make_queries(floor, range(1), 12):
+    for query in make_queries(floor, range(1), 6):
         maker = query.search.get_maker(True)
         field = maker.make_field(maker.find_seeds(*compute_goal_area(query.goal, query.search.instance)))
         price = maker.get_cost(field, query.state)
@@ -190,7 +191,7 @@ def test_fields_are_made_once_and_the_oldest_go_when_they_are_too_many(monkeypat
     assert made == [0, 1, 2, 3, 4, 1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_vast_rooms_are_prepared_in_seconds_and_bounded_memory():
     config = RoomConfig(room=ShapeConfig(width=200, depth=200), obstacles=ObstaclesConfig(count=20))
     instance = generate(config, 0)

@@ -145,7 +145,7 @@ def list_ends(rules: Kinematics, maker: FieldMaker, cell: int, heading: int) -> 
             for share, (dx, dy) in zip(shares, moves, strict=True)]
 
 
-@pytest.mark.in_turn_for("box")
+@pytest.mark.nightly_for("box")
 @pytest.mark.parametrize(("robot", "size"), [(DISC, (7.0, 5.0)), (BOX, (5.0, 7.0))], ids=["disc", "box"])
 def test_moves_land_where_the_rules_end_them(robot, size):
     rules, maker = make_maker(robot, size)
@@ -170,7 +170,7 @@ def test_moves_land_where_the_rules_end_them(robot, size):
     assert (landing[~fits] == -1).all() and beside > 0
 
 
-@pytest.mark.in_turn_for("box-press-None", "box-exit-None", "box-press-facing1")
+@pytest.mark.nightly_for("box-press-None", "box-exit-None", "box-press-facing1")
 @pytest.mark.parametrize("facing", [None, (0, 3)])
 @pytest.mark.parametrize("goal", [PressGoal(1), ExitGoal()], ids=["press", "exit"])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
@@ -227,7 +227,7 @@ def sweep_all(scene, places, turns, moves, needs):
     return found
 
 
-@pytest.mark.in_turn_for("disc-size0")
+@pytest.mark.nightly_for("disc-size0")
 @pytest.mark.parametrize("size", [(9.0, 5.0), pytest.param((5.0, 9.0), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_sweeps_and_clearances_are_those_of_all_solids_from_anywhere_on_the_floor(robot, size):
@@ -336,7 +336,7 @@ def make_pockets(robot: RobotConfig) -> tuple[Kinematics, FieldMaker]:
     return rules, FieldMaker(room, rules, door_shut=True)
 
 
-@pytest.mark.in_turn_for("box-the goal's", "disc-the goal's", "box-the start's")
+@pytest.mark.nightly_for("box-the goal's", "disc-the goal's", "box-the start's")
 @pytest.mark.parametrize("side", ["the goal's", "the start's"])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_what_is_cut_off_is_exactly_what_no_field_reaches(robot, side, monkeypatch):

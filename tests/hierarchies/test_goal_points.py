@@ -34,7 +34,7 @@ def is_in_exit(room, state):
     return max(area.x_min - x, x - area.x_max, area.y_min - y, y - area.y_max) <= 0
 
 
-@pytest.mark.in_turn_for("four-button-chain")
+@pytest.mark.nightly_for("four-button-chain")
 @pytest.mark.parametrize("preset", ["paper-two-button", "four-button-chain", "arm-two-button"])
 def test_events_are_reached_where_the_state_says_so_all_along_a_plan(preset):
     env = make_env(preset, "events")
@@ -92,7 +92,7 @@ def test_tables_see_pose_touched_targets_and_facts_and_nothing_else():
         assert all(space.view.space.contains(np.array(view)) for view in views)
 
 
-@pytest.mark.in_turn_for("hac-events", "option-keyboard-events", "hrac-displacements", "hiro-displacements")
+@pytest.mark.nightly_for("hac-events", "option-keyboard-events", "hrac-displacements", "hiro-displacements")
 @pytest.mark.parametrize(("agent", "kind"), AGENTS.items())
 def test_every_agent_of_goals_keeps_its_promises_in_a_room(agent, kind):
     assert find_kind(agent) == kind
@@ -109,7 +109,7 @@ class EndsWithTheFirstEscape(Callback):
         return evaluation.success_rate == 1.0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @pytest.mark.parametrize("config", ["paper-one-button", TINY], ids=["one button", "tiny"])
 def test_with_events_of_the_room_skills_over_moves_find_the_way_out(config):
     """Without them, over bounds of the observation, the same learner never escapes at an evaluation."""
@@ -128,7 +128,7 @@ def test_goals_and_their_names_are_as_many():
         dataclasses.replace(space, goals=np.zeros((0, 5)))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_folder_brings_back_an_agent_with_its_goals(tmp_path):
     env = make_env(TINY, "displacements")
     result = train("hiro", env, primitives=300, eval_episodes=1, out=tmp_path / "run", progress=False)

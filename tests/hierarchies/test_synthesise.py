@@ -35,7 +35,7 @@ def make_env(config="paper-two-button", kind="maxq", low_level="planned", **argu
     return HierarchyEnv(EscapeRoomEnv(config), kind, low_level, **arguments)
 
 
-@pytest.mark.in_turn_for("ham-four-button-chain")
+@pytest.mark.nightly_for("ham-four-button-chain")
 @pytest.mark.parametrize(("kind", "preset"), cover(["maxq", "ham", "landmarks"],
                                                    ["paper-two-button", "four-button-chain"]))
 def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episodes(kind, preset):
@@ -47,7 +47,7 @@ def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episode
     assert result.evaluations[-1].mean_return >= best - 0.1 * (best + 1000), "within a tenth of the whole range"
 
 
-@pytest.mark.in_turn_for("maxq", "ham")
+@pytest.mark.nightly_for("maxq", "ham")
 @pytest.mark.parametrize("kind", ["maxq", "ham", "landmarks"])
 def test_where_presses_can_be_undone_no_task_undoes_them(kind):
     """Bits can be cleared as well as set, and nothing that opens the exit needs one cleared."""
@@ -70,7 +70,7 @@ def test_a_pose_tells_of_the_open_exit_only_where_it_has_a_door(preset, differs)
     assert (rooms.see_pose(shut) != rooms.see_pose(opened)) == differs
 
 
-@pytest.mark.in_turn_for("True-planned", "True-learned", "False-planned")
+@pytest.mark.nightly_for("True-planned", "True-learned", "False-planned")
 @pytest.mark.parametrize("low_level", LOW_LEVELS)
 @pytest.mark.parametrize("abstract", [True, False])
 def test_a_synthesised_task_graph_keeps_every_promise(low_level, abstract):
@@ -78,7 +78,7 @@ def test_a_synthesised_task_graph_keeps_every_promise(low_level, abstract):
                     make_env(TINY, low_level=low_level), primitives=200)
 
 
-@pytest.mark.in_turn_for("landmarks-planned")
+@pytest.mark.nightly_for("landmarks-planned")
 @pytest.mark.parametrize("low_level", LOW_LEVELS)
 @pytest.mark.parametrize("kind", ["landmarks", "feudal"])
 def test_goals_and_cells_keep_every_promise(kind, low_level):
@@ -140,6 +140,7 @@ def test_landmarks_open_in_the_order_that_the_puzzle_forces():
     assert over and opened[-1] == "exit" and len(set(opened)) == 5
 
 
+@pytest.mark.nightly
 def test_feudal_managers_are_paid_for_pressing_and_find_their_way_by_regions():
     env = make_env("paper-two-button", "feudal", "planned")
     agent = train("feudal-rl", env, primitives=3_000, eval_episodes=0, progress=False).agent
@@ -231,13 +232,13 @@ def learn_tiny(abstract, low_level="planned", primitives=600):
     return agent.compute_task_value(agent.hierarchy.root, seen), result.evaluations[-1].mean_return
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_abstraction_changes_no_value_and_the_value_is_the_exact_one(planned):
     assert learn_tiny(abstract=True) == learn_tiny(abstract=False) == (pytest.approx(planned.recursive),) * 2
     assert planned.recursive <= planned.hierarchical <= planned.flat
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_program_with_planned_leaves_is_worth_as_much_as_the_task_graph(model, planned):
     """Both leave the order of presses open, and the planner walks in both."""
     structure = make_env(TINY, "ham").structure
@@ -245,7 +246,7 @@ def test_a_program_with_planned_leaves_is_worth_as_much_as_the_task_graph(model,
     assert program.hierarchical == pytest.approx(planned.hierarchical)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learned_leaves_may_walk_any_way_so_that_the_graph_costs_nothing(model):
     learned = compute_price(model, synthesise(generate(TINY, 0), low_level="learned"))
     assert learned.recursive <= learned.hierarchical == pytest.approx(learned.flat)

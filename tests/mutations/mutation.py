@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,14 +17,18 @@ import pytest
 from hrl_escape.kernels import find_cache_folder
 from tests.forks import run_fork
 
-__all__ = ["ROOT", "Mutation", "PackageCopy", "find_source"]
+__all__ = ["ROOT", "Mutation", "PackageCopy", "find_source", "plant"]
 
 ROOT = Path(__file__).parents[2]
 """Folder of the project."""
 PYTEST = """
 import sys, pytest
-sys.exit(pytest.main(["-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", "not (slow or in_turn)", *sys.argv[1:]]))
+code = 0
+for marks in "not (nightly or gpu)", "nightly and not (slow or gpu)":
+    code = code or pytest.main(["-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", marks, *sys.argv[1:]]) % 5
+sys.exit(code)
 """
+"""Fast tests first, then those of the nightly tier. Exit code 5 says that there is none of a kind."""
 SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED, -signal.SIGXCPU, -signal.SIGSEGV, -signal.SIGABRT)
 """A test failed, its module could not even be loaded, it did not end, or the interpreter crashed."""
 UNSEEN = (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED)
@@ -35,22 +40,84 @@ class Mutation(NamedTuple):
 
     Attributes:
         bug: what is wrong with it.
-        file: path within `hrl_escape`, or of the project if it begins with `studies/` or `benchmarks/`.
-        old: sound text, which occurs once in the file.
+        place: `FILE::NAME`: a path within `hrl_escape` (of the project if it begins with `studies/` or `benchmarks/`),
+            and the qualified name of a function, a class or a constant in it, as `Replay.add`. A file that is not
+            Python has no name.
+        old: sound text, which occurs once in the definition of that name.
         new: text that takes its place.
         tests: modules or single tests, paths within `tests` separated by blanks; one of them must fail.
     """
 
     bug: str
-    file: str
+    place: str
     old: str
     new: str
     tests: str
+
+    @property
+    def file(self) -> str:
+        """Path of the file, as `find_source` takes it."""
+        return self.place.partition("::")[0]
 
 
 def find_source(root: Path, file: str) -> Path:
     """Where a mutation's file is in a copy of the project."""
     return root / file if file.startswith(("studies/", "benchmarks/")) else root / "hrl_escape" / file
+
+
+def plant(mutation: Mutation, source: str) -> str:
+    """Return the source of a file with the bug in it.
+
+    Raises:
+        LookupError: the file does not define the name, or its definition does not hold the old text exactly once.
+    """
+    file, _, name = mutation.place.partition("::")
+    if not name and file.endswith(".py"):
+        raise LookupError(f"{mutation.bug!r} names no function: write {file}::FUNCTION")
+    spans = _find_definitions(source, name) if name else [(0, len(source))]
+    if not spans:
+        raise LookupError(f"{mutation.bug!r}: {file} does not define {name}")
+    places = [start + place for start, end in spans for place in _find_all(source[start:end], mutation.old)]
+    if len(places) != 1:
+        raise LookupError(f"{mutation.bug!r}: the old text occurs {len(places)} times, not once, in {mutation.place}: "
+                          f"{mutation.old!r}")
+    return source[:places[0]] + mutation.new + source[places[0] + len(mutation.old):]
+
+
+def _find_all(text: str, part: str) -> list[int]:
+    return [place for place in range(len(text)) if text.startswith(part, place)]
+
+
+def _find_definitions(source: str, name: str) -> list[tuple[int, int]]:
+    """Spans of what defines a qualified name, in whole lines; a property and its setter are two."""
+    starts = [0]
+    for line in source.splitlines(keepends=True):
+        starts.append(starts[-1] + len(line))
+    found = [ast.parse(source).body]
+    *owners, last = name.split(".")
+    for owner in owners:
+        found = [node.body for body in found for node in _walk(body)
+                 if isinstance(node, ast.ClassDef | ast.FunctionDef) and node.name == owner]
+    nodes = [node for body in found for node in _walk(body) if last in _list_names(node)]
+    return [(starts[min(part.lineno for part in (node, *getattr(node, "decorator_list", ()))) - 1],
+             starts[node.end_lineno or node.lineno]) for node in nodes]
+
+
+def _walk(body: Sequence[ast.stmt]) -> Iterator[ast.stmt]:
+    """Statements of a scope, those below `if`, `try` and `with` among them."""
+    for node in body:
+        yield node
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            for part in ("body", "orelse", "finalbody"):
+                yield from _walk(getattr(node, part, ()))
+
+
+def _list_names(node: ast.stmt) -> list[str]:
+    """Names that a statement defines."""
+    if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+        return [node.name]
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return [target.id for target in targets if isinstance(target, ast.Name)]
 
 
 class PackageCopy:
@@ -81,12 +148,10 @@ class PackageCopy:
         """Plant a bug, run its tests, mend it; say whether one of them failed, or ran for so many processor seconds.
 
         Raises:
-            RuntimeError: the tests could not be run, or the bug's place is not found.
+            LookupError: the bug's place is not found.
+            RuntimeError: the tests could not be run.
         """
-        sound = find_source(ROOT, mutation.file).read_text(encoding="utf-8")
-        if sound.count(mutation.old) != 1:
-            raise RuntimeError(f"{mutation.old!r} stands {sound.count(mutation.old)} times in {mutation.file}")
-        changed = sound.replace(mutation.old, mutation.new)
+        changed = plant(mutation, find_source(ROOT, mutation.file).read_text(encoding="utf-8"))
         return self.is_change_seen(mutation.file, changed, mutation.tests.split(), seconds)
 
     def is_change_seen(self, file: str, changed: str, tests: Sequence[str], seconds: int = 300) -> bool:

@@ -27,6 +27,7 @@ GRID_SKILLS = [
 FEW_PRIMITIVES = [*(1,) * 7, 8, 3, 8]
 
 
+@pytest.mark.nightly_for("MiniGrid-LavaGapS5-v0")
 @pytest.mark.parametrize("name", ["MiniGrid-Empty-5x5-v0", "MiniGrid-LavaGapS5-v0", "BabyAI-GoToObj-v0"])
 def test_grids(name):
     pytest.importorskip("minigrid")

@@ -120,13 +120,13 @@ def learn(agent, primitives):
     return np.abs(learned - exact)[legal].max()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_smdp_q_learning_comes_to_the_exact_values_of_options():
     """Alpha is 1 and nothing random, so values are exact once each pair was seen often enough."""
     assert learn("smdp-q-learning", 30_000) < 1e-12
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_intra_option_learning_comes_to_them_with_fewer_primitives():
     """It looks inside options (section 6)."""
     assert learn("smdp-intra-option-q", 20_000) < 1e-12
@@ -149,7 +149,8 @@ def read_primitives(agent):
     return np.array([agent.compute_values(cell)[:4] for cell in range(CELLS) if cell != EAST_HALLWAY])
 
 
-@pytest.mark.in_turn_for("exploration")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("exploration")
 @pytest.mark.parametrize("options_serve", ["exploration", "nothing"])
 def test_options_for_exploration_leave_primitives_worth_what_they_are_and_act_by_them(options_serve):
     """From random choices: exploration runs options all the time, `nothing` each once at most."""

@@ -98,7 +98,7 @@ def replay(agent, env, seed):
             return calls
 
 
-@pytest.mark.in_turn_for("maxq-q")
+@pytest.mark.nightly_for("maxq-q")
 @pytest.mark.parametrize("name", HIERARCHICAL)
 def test_the_calls_of_a_hierarchy_are_options_that_run_as_they_ran_inside_it(name):
     make_env, make_hierarchical = HIERARCHICAL[name]
@@ -157,7 +157,7 @@ def _walk(start, goal):
     return steps
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_walks_learned_in_one_task_are_the_shortest_ways_in_another():
     agent = make_stack(ROOMS())
     learn(agent, ROOMS(), 20_000)
@@ -175,7 +175,7 @@ def test_walks_learned_in_one_task_are_the_shortest_ways_in_another():
     assert walked > 12
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_tasks_of_taxi_keep_the_contract_of_options_and_deeper_calls_run_inside_them():
     env = Taxi()
     agent = make(MaxqQ, env, make_taxi_tasks(), **FAST | {"gamma": 1.0, "epsilon_end": 0.2})
@@ -205,7 +205,7 @@ def driver():
     return agent
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_machines_of_a_program_are_options_named_with_their_callers(driver):
     options = {option.name: option for option in make_learned_options(driver, 6)}
     assert set(options) == {"deliver", "fetch"} | {
@@ -241,6 +241,7 @@ def test_a_program_run_in_parts_is_the_program(driver):
         assert parts == actions
 
 
+@pytest.mark.nightly
 def test_landmarks_are_options_that_lead_there_by_the_shortest_way():
     near = Landmarks(HALLWAYS, lambda cell: min(range(4), key=lambda number: _walk(cell, HALLWAYS[number])))
     env = FourRooms(None, "none")

@@ -114,7 +114,7 @@ def test_planning_is_reported_by_an_attribute_and_not_in_infos():
         env.planning_report.replans = 1
 
 
-@pytest.mark.parametrize("kind", [SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=pytest.mark.nightly)])
 def test_a_vector_environment_gives_the_reports_of_its_environments_in_other_processes_too(kind):
     rooms = kind([lambda: gymnasium.make(TWO)] * 2)
     try:
@@ -190,6 +190,7 @@ def test_minari_records_the_infos_of_options(collector):
     env.close()
 
 
+@pytest.mark.nightly
 def test_torchrl_reads_durations_and_discounts_from_infos():
     names = ["duration", "discount", "summed_reward", "discounted_reward", "action_mask", "pressed"]
     env = GymWrapper(gymnasium.make(TWO, discount=0.9)).set_info_dict_reader(default_info_dict_reader(names))

@@ -52,7 +52,7 @@ def lake_run(tmp_path_factory):
     return train("q-learning", make_lake(), primitives=8000, eval_episodes=0, settings=settings, out=folder)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_agent_from_a_runs_folder_is_an_option(lake_run):
     option = LearnedOption("cross", load_agent(lake_run.folder), lambda cell: float(cell == 14), legal=4)
     env = OptionsEnv(make_lake(), [option], trace=True)
@@ -80,7 +80,7 @@ def test_an_agent_that_draws_draws_from_the_callers_generator():
     assert agent.state_dict() == before, "the agent's own generator is left alone"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_agent_is_told_what_is_legal(lake_run):
     option = LearnedOption("cross", lake_run.agent, lambda cell: 1.0,
                            legal=lambda cell: np.array([True, False, False, True]))
@@ -153,7 +153,7 @@ def train_on_lake(folder, env=None, **arguments):
     return train("smdp-q-learning", env, out=folder, **{"primitives": 1500, "settings": settings} | arguments)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_frozen_lake_is_learned_over_options():
     result = train_on_lake(None, primitives=3000)
     assert result.evaluations[-1].mean_return == 1.0
@@ -172,7 +172,7 @@ class Interrupting(OptionDomain):
         return super().get_state(observation)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_run_over_options_resumes_to_the_same_numbers(tmp_path):
     def make():
         return OptionsEnv(make_lake(), make_lake_options, domain=Interrupting)

@@ -56,7 +56,7 @@ def test_what_an_option_does_depends_on_the_state_and_on_nothing_before_it(clutt
     assert len({chosen for chosen in forwards.values() if chosen is not None}) > 3, "not always the same"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_they_press_their_target_in_as_many_primitives_as_a_plan(clutter):
     """The route is found anew at each state, so that the shortest is never longer than what is left of the last."""
     env, states = clutter

@@ -36,7 +36,7 @@ def recall(history, lit):
     return found
 
 
-@pytest.mark.in_turn_for("1-reset")
+@pytest.mark.nightly_for("1-reset")
 @pytest.mark.parametrize(("count", "rule"), [(1, "reset"), (64, "ignore")])
 def test_every_room_remembers_its_own_decisions(count, rule):
     streams, rng = MemoryStreams(make_streams(count, rule)), np.random.default_rng(0)
@@ -67,6 +67,7 @@ def test_observations_without_rows_are_refused():
         MemoryStreams(make_streams(2, observation="features"))
 
 
+@pytest.mark.nightly
 def test_an_agent_trains_with_it_and_resumes_to_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 128)
     settings = {"network": "objects", "hidden": (8,), "rollout": 64, "stream_rollout": 4, "batch_size": 16, "epochs": 2}

@@ -53,7 +53,7 @@ def run_meta_actions(config: RoomConfig, runs: int, seed: int = 0) -> Counter:
     return ends
 
 
-@pytest.mark.in_turn_for("puddle-world")
+@pytest.mark.nightly_for("puddle-world")
 @pytest.mark.parametrize("name", thin([*PRESETS], 3, 2))
 def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
     instance = generate(get_preset(name), 0)
@@ -73,7 +73,7 @@ LONG = ("ten-button", "twenty-button", "random-lights")
 """Chains, and boxes as in light-box."""
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "lights-out-press", "four-button-chain-press-with-ancestors", "clutter-press-reactive",
     "hanoi-press-with-ancestors", "potions-press", "puddle-world-press", "lights-out-press-reactive")
 @pytest.mark.parametrize(("name", "option_set"), [
@@ -255,7 +255,7 @@ def test_the_exit_behind_a_shut_door_is_masked_until_it_opens():
     assert env.step(4)[2]
 
 
-@pytest.mark.in_turn_for("arm-two-button-30", "clutter-30")
+@pytest.mark.nightly_for("arm-two-button-30", "clutter-30")
 @pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "arm-two-button"])
 def test_noise_and_slip_are_met_by_planning_anew(name, runs):
@@ -287,7 +287,7 @@ def test_an_option_gives_up_after_its_cap_on_plans():
     assert failed and all("budget exhausted" in end["reason"] and end["replans"] == 0 for end in failed)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_block_is_pushed_onto_its_plate():
     env = OptionsEnv(EscapeRoomEnv("push-block", instance_seed=1), include_primitives=False)
     env.reset(seed=0)

@@ -431,7 +431,7 @@ def test_max_duration_ends_an_option():
     assert env.step(6)[4]["duration"] == 4, "it starts anew"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_stochastic_termination_obeys_its_probability_and_the_seed():
     option = LearnedOption("geometric", lambda observation: TURN_LEFT, lambda s: 0.25, observe=lambda s: s)
 
@@ -618,7 +618,7 @@ def test_vector_environments_run_options_in_step():
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_asynchronous_vector_environments_give_the_same():
     def make():
         return OptionsEnv(make_env(), discount=GAMMA)

@@ -318,7 +318,7 @@ def test_states_of_several_numbers_are_keys():
 # --- the contract as a check --------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("MiniGrid")
+@pytest.mark.nightly_for("MiniGrid")
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_check_accepts_a_correct_option_of_any_environment(kind):
     make, make_option, domain, _ = KINDS[kind]

@@ -22,7 +22,7 @@ def escape(env, seed):
     return run, [not before <= after for before, after in zip(facts[:-1], facts[1:], strict=True)]
 
 
-@pytest.mark.in_turn_for("32")
+@pytest.mark.nightly_for("32")
 @pytest.mark.parametrize("seed", [14, 32])
 def test_the_way_out_leaves_the_block_on_its_plate(seed):
     """The straight way from the last push to the exit of these rooms leads through the block."""
@@ -30,6 +30,7 @@ def test_the_way_out_leaves_the_block_on_its_plate(seed):
     assert run.escaped and not any(undone)
 
 
+@pytest.mark.nightly
 def test_a_second_push_goes_round_the_first_block():
     config = dataclasses.replace(get_preset("push-block"), puzzle=PushBlockConfig(count=2))
     run, undone = escape(EscapeRoomEnv(config, instance_seed=17), 17)

@@ -114,7 +114,7 @@ def test_planning_counts_in_the_environment_that_ran_it():
     assert calls == [[1, 1], [0, 0], [0, 0], [0, 0]]
 
 
-@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
+@pytest.mark.parametrize("vector", [SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=pytest.mark.nightly)])
 def test_copies_in_a_vector_environment_share_options(vector):
     option = ScriptedOption("count", SCRIPT)
     envs = vector([lambda: OptionsEnv(Count(), [option], include_primitives=False, interruptible=True)] * 2)

@@ -28,7 +28,7 @@ def make_actor(env: OptionsTorchRLEnv) -> QValueActor:
                        action_mask_key="action_mask")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_specs_hold_and_rollouts_repeat():
     check_env_specs(make_env())
     first, second = (make_env().rollout(5, make_actor_of_chance(), break_when_any_done=False) for _ in range(2))
@@ -47,7 +47,7 @@ def make_actor_of_chance():
     return choose
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_rewards_are_discounted_sums_over_the_decisions():
     """-1 a primitive and 100 more for the last one of an escape, in closed form."""
     data = make_env().rollout(40, make_actor_of_chance(), break_when_any_done=False)

@@ -21,6 +21,7 @@ def change(preset: str, **dynamics):
     return dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, **dynamics))
 
 
+@pytest.mark.nightly_for("config1")
 @pytest.mark.parametrize("config", [get_preset("paper-two-button"), get_preset("arm-two-button"),
                                     change("paper-two-button", noise=0.1)])
 def test_random_options_escape_and_each_presses_its_own_target(config):
@@ -42,7 +43,7 @@ def test_random_options_escape_and_each_presses_its_own_target(config):
     assert terminated and info["is_success"] and not truncated
 
 
-@pytest.mark.in_turn_for("taxi-0.1-auto", "foraging-0.0-auto")
+@pytest.mark.nightly_for("taxi-0.1-auto", "foraging-0.0-auto")
 @pytest.mark.parametrize(("preset", "slip", "planner"), [
     ("taxi", 0.1, "auto"), ("foraging", 0.0, "auto"), ("door-key", 0.0, "fields"),
     pytest.param("key-corridor", 0.0, "auto", marks=pytest.mark.slow),
@@ -66,7 +67,7 @@ def test_options_carry_until_the_robot_is_out(preset, slip, planner):
     assert info["is_success"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_targets_are_pressed_under_physics():
     env = OptionsEnv(EscapeRoomContinuousEnv(change("paper-two-button", kind="physics")))
     env.reset(seed=0)
@@ -76,7 +77,7 @@ def test_targets_are_pressed_under_physics():
     env.close()
 
 
-@pytest.mark.in_turn_for("arm-two-button-14")
+@pytest.mark.nightly_for("arm-two-button-14", "clutter, rectangle-0", "arm-two-button-2")
 @pytest.mark.parametrize(("name", "seed"), [
     ("paper-random", 0),  # two panels side by side, of which one is touched: it is solid, and stands in the way
     ("clutter, rectangle", 0),  # a way that ends on the edge of the exit ends outside by a rounding

@@ -67,6 +67,7 @@ def tables(draw) -> tuple[Move, ...]:
 rooms = st.builds(make_room, tables(), st.integers(0, 9), st.sampled_from(["strafing", "differential"]), st.booleans())
 
 
+@pytest.mark.nightly
 @PATIENT
 @given(rooms, st.integers(0, 2**32 - 1))
 def test_no_walk_is_shorter_than_the_bound_of_where_it_leads_nor_proven_impossible(room, seed):
@@ -86,7 +87,7 @@ def test_no_walk_is_shorter_than_the_bound_of_where_it_leads_nor_proven_impossib
             assert not found or bounds.bound_goals(states[0], [PressGoal(target)]) <= found[0]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(PATIENT, max_examples=3)
 @given(rooms)
 def test_plans_are_true_escapes_of_certified_rooms_and_none_is_below_its_bound(room):
@@ -99,7 +100,7 @@ def test_plans_are_true_escapes_of_certified_rooms_and_none_is_below_its_bound(r
     assert answer.plan is not None and answer.lower_bound <= answer.plan.cost
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @PATIENT
 @given(rooms)
 def test_options_press_and_leave(room):
@@ -109,7 +110,7 @@ def test_options_press_and_leave(room):
     assert outcomes[-1][2]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(PATIENT, max_examples=3)
 @given(rooms)
 def test_batched_options_press_and_leave(room):
@@ -124,7 +125,7 @@ def test_batched_options_press_and_leave(room):
     assert done.terminated[0]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @PATIENT
 @given(rooms, st.sampled_from(["stay", "lateral", "lateral-if-free", "any", "neighbour"]))
 def test_the_engines_agree(room, slips):

@@ -46,6 +46,7 @@ def add_legs(room: RoomInstance, state: RoomState) -> int:
     return min(sums)
 
 
+@pytest.mark.nightly
 def test_no_plan_is_below_its_bound_and_joint_bounds_are_above_sums_of_legs():
     gains = []
     for preset, seed in itertools.product(("four-button-chain", "paper-two-button", "bit-flip"), range(10)):

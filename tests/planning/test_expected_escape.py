@@ -23,7 +23,7 @@ def start(room):
     return Kinematics(room).make_state(room.starts[0])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_noise_the_expectation_is_the_best_known():
     room = make_room()
     best = find_best_known(room, start(room))
@@ -31,7 +31,7 @@ def test_without_noise_the_expectation_is_the_best_known():
     assert expected == (best.value, best.primitives)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_with_slip_alone_an_escape_takes_the_plan_s_length_over_the_chance_to_move():
     """A slip leaves the robot where the plan has it, so the length is negative binomial."""
     room, slip, rollouts = make_room(slip=0.2), 0.2, 200
@@ -43,7 +43,7 @@ def test_with_slip_alone_an_escape_takes_the_plan_s_length_over_the_chance_to_mo
     assert expected.value == pytest.approx(room.reward.exit - expected.primitives), "each primitive costs 1"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_expectation_is_what_the_planner_takes_with_other_noise():
     room, rollouts = make_room(noise=0.1, slip=0.05), 8
     expected, rules, lengths = compute_expected_escape(room, start(room), rollouts), Kinematics(room), []
@@ -61,6 +61,7 @@ def test_the_expectation_is_what_the_planner_takes_with_other_noise():
     assert expected == compute_expected_escape(room, start(room), rollouts), "the same rollouts every time"
 
 
+@pytest.mark.nightly
 def test_hands_that_noise_leads_astray_press_one_button_after_the_other():
     """Where no joint plan says what comes next, the order of buttons is found anew after every press."""
     config = get_preset("arm-two-button")
@@ -70,7 +71,7 @@ def test_hands_that_noise_leads_astray_press_one_button_after_the_other():
     assert compute_expected_escape(room, start(room), rollouts=2).primitives < 1.5 * best
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_that_is_too_short_to_escape_counts_with_its_horizon():
     room = dataclasses.replace(make_room(slip=0.5), horizon=5)
     expected = compute_expected_escape(room, start(room), rollouts=3)

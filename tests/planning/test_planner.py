@@ -71,7 +71,9 @@ def start(planner):
 # --- plans come true -------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("twenty-button-fields", "hanoi-corridor", "puddle-world-corridor")
+@pytest.mark.nightly_for(
+    "twenty-button-fields", "hanoi-corridor", "puddle-world-corridor", "recipes-fields", "ten-button-corridor",
+    "potions-corridor", "deep-sea-corridor", "pin-pad-corridor")
 @pytest.mark.parametrize(("name", "method"), cover(KINEMATIC, ["fields", "corridor"]))
 def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env = EscapeRoomEnv(name, instance_seed=1)
@@ -87,7 +89,7 @@ def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env.close()
 
 
-@pytest.mark.in_turn_for("light-box")
+@pytest.mark.nightly_for("light-box")
 @pytest.mark.parametrize("name", BY_CHANCE)
 def test_legs_cost_at_least_what_geometry_says_where_the_way_out_is_by_chance(name):
     """Of all other presets the plans above are asked."""
@@ -96,7 +98,7 @@ def test_legs_cost_at_least_what_geometry_says_where_the_way_out_is_by_chance(na
     assert_legs_cost_at_least_their_bounds(planner.solve(planner.rules.make_state(instance.starts[0])), instance)
 
 
-@pytest.mark.in_turn_for("many-obstacles", "sixteen-rooms")
+@pytest.mark.nightly_for("many-obstacles", "sixteen-rooms")
 @pytest.mark.parametrize("name", ["smallest", "many-obstacles", "sixteen-rooms", "seven-joints", "door",
                                   "coarse-steps"])
 def test_solve_escapes_at_the_extremes_of_the_knobs(name):
@@ -128,7 +130,7 @@ def test_a_plan_begun_in_the_middle_of_an_episode_counts_on_from_there(planner, 
     assert plan.states[-1].puzzle == 1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_pursuit_escapes_under_noise_and_slip():
     config = get_preset("clutter")
     noisy = dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, noise=0.1, slip=0.1))
@@ -150,7 +152,7 @@ def test_pursuit_of_one_goal_ends_there():
 # --- the cheapest order --------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_pairwise_costs_lead_to_an_order_as_good_as_costing_every_leg(monkeypatch):
     """A DAG of eight buttons, two orders of costing it."""
     config = RoomConfig(puzzle=ButtonsConfig(count=8, graph=GraphConfig(kind="tree"), buttons=Panels(width=1.0)))
@@ -324,7 +326,7 @@ def walk(planner: RoomPlanner, calls: int, seed: int, ask) -> int:
     return tracemalloc.get_traced_memory()[0]
 
 
-@pytest.mark.in_turn_for("plan")
+@pytest.mark.nightly_for("plan")
 @pytest.mark.parametrize("by", ["plan", "remember"])
 def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
     monkeypatch.setattr(routes, "MOST_POSES", 400)
@@ -419,7 +421,7 @@ def test_a_plan_is_not_executed_elsewhere(planner, start):
 # --- a plan as a value ------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_plan_is_json_text_and_picture(planner, start, tmp_path):
     plan = planner.solve(start)
     content = json.loads(json.dumps(plan.to_dict()))
@@ -443,7 +445,7 @@ def test_remembering_changes_no_plan(planner, start):
         assert other.plan(start, goal).primitives == expected[goal]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
     """One place, but another heading, another touch, another door: each as a planner without memory answers."""
     planner = RoomPlanner(generate(get_preset("clutter"), 0))
@@ -472,7 +474,7 @@ def test_a_plan_names_the_search_that_found_it(planner, start):
         planner.solve(start, "BITster")
 
 
-@pytest.mark.in_turn_for("60-corridor")
+@pytest.mark.nightly_for("60-corridor")
 @pytest.mark.parametrize(("side", "way"), [(50, "fields"), (60, "corridor")])
 def test_a_place_on_a_large_floor_is_reached_round_a_path_and_targets_by_fields(side, way):
     planner = RoomPlanner(generate(RoomConfig(room=ShapeConfig(width=side, depth=side)), 0))
@@ -517,7 +519,7 @@ print(hashlib.sha256(repr(plans).encode()).hexdigest())
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_another_process_makes_the_same_plans():
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True,
                           env=os.environ | {"PYTHONHASHSEED": "7"})

@@ -81,7 +81,7 @@ def test_requests_that_make_no_sense_are_refused(planner, start):
 # --- objectives ----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("length-True", "clearance-True")
+@pytest.mark.nightly_for("length-True", "clearance-True")
 @pytest.mark.parametrize(("objective", "wins"), [("length", True), ("clearance", True), ("time", False)])
 def test_each_objective_improves_on_the_fewest_primitives_and_keeps_its_bound(planner, start, objective, wins):
     result = planner.answer(PlanningRequest(start, "press-button-3", objective=objective))
@@ -148,7 +148,7 @@ def test_improvement_is_monotone_reported_and_reaches_the_reference():
     assert best_sum <= first_sum and best_sum <= 1.01 * fewest_sum
 
 
-@pytest.mark.in_turn_for("arm-two-button")
+@pytest.mark.nightly_for("arm-two-button")
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button"])
 def test_improvement_ends_when_the_search_nodes_of_its_budget_are_spent(name):
     planner = RoomPlanner(generate(get_preset(name), 5))
@@ -165,7 +165,7 @@ def test_nodes_of_a_search_that_failed_count_as_spent(planner, start):
     assert result.failure is not None and pickle.loads(pickle.dumps(result.failure)).expansions == result.spent
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_answers_are_the_same_in_any_order_and_again(start, planner):
     requests = [PlanningRequest(start, goal, method=method, seed=seed, improve=improve)
                 for goal, method, seed, improve in (("button-1", "RRTConnect", 0, False), ("button-1", None, 0, True),
@@ -186,7 +186,7 @@ SLOW = PoseGoal(-5.84, 1.29, 4.22, tolerance=0.02)
 """A place that is hard to meet: every finer grid is searched, for seconds."""
 
 
-@pytest.mark.in_turn_for("fields")
+@pytest.mark.nightly_for("fields")
 @pytest.mark.parametrize("method", ["fields", "RRTConnect"])
 def test_a_call_is_cancelled_from_another_thread_at_once(method):
     planner = RoomPlanner(generate(get_preset("clutter"), 0))
@@ -215,7 +215,7 @@ def test_a_call_that_is_cancelled_before_it_begins_is_cut_short(planner, start, 
     assert result.status is PlanningReason.CANCELLED and result.cut_short and result.plan is None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_cancelled_call_keeps_the_best_plan_and_the_planner_its_answers(planner, start):
     stop, seen = threading.Event(), []
 

@@ -80,7 +80,7 @@ def check_edits(preset: str, edits: int, *, executed_every: int, compared_every:
     return executed
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_fifty_edits_plan_as_a_new_planner_would_and_come_true():
     assert check_edits("clutter", 50, executed_every=10, compared_every=5) >= 3
 
@@ -174,6 +174,7 @@ def test_blocks_and_plates_are_added_and_removed_and_the_puzzle_follows():
         Scene.of(generate(get_preset("clutter"), 3)).add("crate", make_block(0.0, 0.0))
 
 
+@pytest.mark.nightly
 def test_a_room_with_an_added_block_and_plate_is_escaped_by_pushing_both():
     scene = Scene.of(generate(get_preset("push-block"), 14))
     room = scene.instance

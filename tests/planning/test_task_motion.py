@@ -63,6 +63,7 @@ def test_our_problem_goes_out_and_a_strangers_plan_comes_in():
         tasks.follow(start, ["dance"])
 
 
+@pytest.mark.nightly
 def test_goals_may_be_facts_and_legs_may_be_forbidden():
     tasks, start = make_tasks("clutter", 3)
     both = tasks.solve(start, ["on(button-3)", "on(button-4)"])
@@ -75,6 +76,7 @@ def test_goals_may_be_facts_and_legs_may_be_forbidden():
         tasks.export(start, ["on(button-9)"])
 
 
+@pytest.mark.nightly
 def test_what_motion_cannot_do_is_no_action():
     """A button walled in: the escape that does not need it is found, one that needs it is refused."""
     tasks, start = make_tasks("clutter", 3)

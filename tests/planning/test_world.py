@@ -52,7 +52,7 @@ def test_rectangles_cover_exactly_the_occupied_cells():
     assert merge_cells(np.ones((4, 5), dtype=bool)) == [(0, 5, 0, 4)]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_map_of_ros_is_planned_in_its_own_frame(tmp_path):
     world = World.read(write_map(tmp_path), ROBOT, (-1.0, 4.0, 0.5))
     start = world.make_state(-1.0, 4.0, 0.5)
@@ -104,7 +104,7 @@ def test_a_mesh_is_as_high_as_it_is_over_each_cell_and_grows_by_two_cells_at_mos
         assert found <= max((box[5] for box in near), default=-cell) + cell + 1e-5
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
     wall, table, lamp = (2.0, 2.2, 4.0, 8.0, 0.0, 1.5), (4.0, 5.0, 8.0, 9.0, 0.7, 0.75), (3.0, 4.0, 3.0, 4.0, 2.2, 2.4)
     path = write_mesh(tmp_path / "hall.obj", [HALL, wall, table, lamp])

@@ -24,7 +24,7 @@ def graphs(draw, most=8):
     return draw(st.lists(st.integers(0, 1), min_size=count, max_size=count)), edges
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(graphs(), st.data())
 def test_relabelling_keeps_the_form(graph, data):
     label = data.draw(st.permutations(range(len(graph[0]))))
@@ -50,7 +50,7 @@ def test_there_are_as_many_forms_as_unlabelled_dags(count, classes):
     assert len(forms) == classes
 
 
-@pytest.mark.in_turn_for("edges2", "edges0")
+@pytest.mark.nightly_for("edges2", "edges0")
 @pytest.mark.parametrize("edges", [
     [(i, 15) for i in range(15)],
     [(2 * i, 2 * i + 1) for i in range(8)],

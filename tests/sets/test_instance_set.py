@@ -125,7 +125,7 @@ def test_a_batch_holds_every_room_of_the_set(rooms):
     assert decisions.action_names[-1] == "go-to-exit" and decisions.actions == 7
 
 
-@pytest.mark.in_turn_for("house", "clutter")
+@pytest.mark.nightly_for("house", "clutter")
 @pytest.mark.parametrize("rung", [rung.name for rung in load_benchmark("ladder-1")])
 def test_rooms_of_a_rung_offer_the_same_goals_in_the_same_order(rung):
     """Else no learner of options could go from one to the next."""

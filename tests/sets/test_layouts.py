@@ -74,7 +74,7 @@ def test_points_are_paired_one_to_one():
     """Two near points of one name cannot both be the counterpart of one; held against every permutation."""
     chance = np.random.default_rng(0)
     found = []
-    for _ in range(300):
+    for _ in range(80):
         first, second = chance.uniform(0, 1.6, (2, 4, 2))
         by_hand = any((np.linalg.norm(image - second[list(order)], axis=1) <= 0.5).all()
                       for order in itertools.permutations(range(4))
@@ -83,7 +83,7 @@ def test_points_are_paired_one_to_one():
         layouts = [tuple(("a", *map(float, point)) for point in points) for points in (first, second)]
         assert are_alike(*layouts) == by_hand
         found.append(by_hand)
-    assert 20 < sum(found) < 280
+    assert 5 < sum(found) < 75
 
 
 def test_of_layouts_seen_the_first_that_looks_alike_is_named():
@@ -95,7 +95,7 @@ def test_of_layouts_seen_the_first_that_looks_alike_is_named():
     assert seen.find(list_points(generate(get_preset("clutter"), 0))) is None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_new_benchmark_is_frozen_with_the_latest_layouts_and_published_ones_keep_theirs():
     assert make_manifest().layouts == LATEST_LAYOUTS == 2
     assert {load_benchmark(name).manifest.layouts for name in ("ladder-1", "marks-1")} == {1}
@@ -107,7 +107,7 @@ def test_a_new_benchmark_is_frozen_with_the_latest_layouts_and_published_ones_ke
     assert find_overlaps({"train": keys, "test": [mirrored]}) == ["room 0 of test has the layout of room 1 of train"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_that_looks_like_one_of_another_set_is_skipped_and_else_found_by_the_certificate():
     """Rooms that vary little, of which some look alike by chance."""
     config = make_config(1, "chain")
@@ -122,6 +122,7 @@ def test_a_room_that_looks_like_one_of_another_set_is_skipped_and_else_found_by_
         certify_rung(bench["small"])
 
 
+@pytest.mark.nightly
 def test_tasks_are_held_out_where_they_are_enough_different_ones():
     few = SetRecord(count=4)
     rungs = tuple(RungRecord(name=f"n{count}", config=make_config(count, kind), train=few, valid=few, test=few,

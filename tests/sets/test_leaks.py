@@ -122,11 +122,11 @@ def check(kind: str, rooms: int, permutations: int = 200) -> None:
     assert varying >= 8 and leaks == []
 
 
-@pytest.mark.in_turn_for("deceptive")
+@pytest.mark.nightly_for("deceptive")
 @pytest.mark.parametrize("kind", [
-    pytest.param(kind, marks=() if kind in ("deceptive", "places") else pytest.mark.slow) for kind in REGULARITIES])
+    pytest.param(kind, marks=() if kind in ("deceptive", "places") else pytest.mark.nightly) for kind in REGULARITIES])
 def test_nothing_tells_of_the_graph_before_the_first_press(kind):
-    check(kind, 250)
+    check(kind, 120)
 
 
 @pytest.mark.slow
@@ -135,7 +135,7 @@ def test_nothing_tells_of_the_graph_in_two_thousand_rooms(kind):
     check(kind, 2_000, permutations=2_000)  # some 22 looks at numbers, of which chance exceeds all in 1 of 90
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_planted_leaks_are_seen():
     numbers, depths, classes = look_at("deceptive")
     rng = np.random.default_rng(2)

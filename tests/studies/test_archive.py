@@ -56,7 +56,7 @@ def find_fewest(env: Any) -> int:
     raise AssertionError("no way out")
 
 
-@pytest.mark.in_turn_for("state")
+@pytest.mark.nightly_for("state")
 @pytest.mark.parametrize("returns", ["state", "moves"])
 def test_every_primitive_is_counted_and_the_moves_escape(env: CountedEnv, returns: Any):
     env.steps = 0
@@ -71,7 +71,7 @@ def test_every_primitive_is_counted_and_the_moves_escape(env: CountedEnv, return
     assert again == found
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_cells_of_single_states_lead_to_the_shortest_escape(env: CountedEnv):
     """With a cell for each state, shorter ways replace longer ones until the shortest escape is left."""
     fewest = find_fewest(env)

@@ -35,7 +35,7 @@ def make_lines(efficiency: Callable[[str, str], float], primitives: int | None =
             for agent in STUDY.data["agents"] for rung in RUNGS for room in range(10)]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_who_beats_the_best_searcher_is_the_headline(tmp_path: Path):
     page = tell("budgets", make_lines(lambda agent, rung: 0.95 if agent == DQN else 0.3), tmp_path)
     assert re.search(rf"\*\*1 of 4 learners beat the best searcher that learns nothing: `{re.escape(DQN)}` \(\+0\.3\d, "

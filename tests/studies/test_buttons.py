@@ -55,7 +55,7 @@ def fit(runs: list[EscapeRun]):
     return fit_growth(runs, np.random.default_rng(0))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
     growth = fit(make_runs(lambda n: 20 * n**1.6))
     assert growth is not None and growth.low < 1.6 < growth.high and growth.high - growth.low < 0.4
@@ -71,7 +71,7 @@ def test_half_of_the_runs_is_enough_to_reach_a_size_although_their_median_is_inf
     assert find_reach(half) == 12 and not list_times(half)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_exponential_is_told_from_a_power_law():
     growth = fit(make_runs(lambda n: 30 * 1.4**n))
     assert growth is not None and growth.power < 0.01
@@ -85,6 +85,7 @@ def test_sizes_with_which_fewer_than_half_of_the_runs_escape_do_not_count():
     assert fit([run for run in runs + failed if run.buttons != 2]) is None, "three sizes give no law"
 
 
+@pytest.mark.nightly
 def test_sentences_follow_the_data():
     def write(learner: list[EscapeRun], searcher: list[EscapeRun]) -> list[str]:
         both = {LEARNER: learner, SEARCHER: searcher}
@@ -114,6 +115,7 @@ def test_the_searcher_is_held_against_learners_room_by_room(learner: float, sent
     assert sentence in " ".join(tell_searchers(ratios, WORDS, 20)) and advise(ratios, WORDS, 20).startswith(advice)
 
 
+@pytest.mark.nightly
 def test_the_figure_shows_a_power_law_only_where_no_exponential_fits_better():
     of = {LEARNER: make_runs(lambda n: 30 * 1.4**n), SEARCHER: make_runs(lambda n: 10 * n**1.5, SEARCHER)}
     (axes,) = draw(of, {agent: fit(runs) for agent, runs in of.items()}, WORDS).axes
@@ -134,7 +136,7 @@ def test_the_headline_says_who_arrives(largest, sentence):
     assert tell_reach(largest, WORDS, 20) == sentence
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
     agents = list(find_study("buttons").data["agents"])
     runs = [run for agent in agents for run in make_runs(lambda n: 9 * n**1.2, agent)]

@@ -86,7 +86,7 @@ def read(efficiency: Callable[[str, str], float]) -> str:
 # --- sentences -------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_who_beats_the_searcher_is_the_headline(tmp_path: Path):
     page = write_page("canon", make_lines(change({MODEL: 0.9, DAC: 0.8})), tmp_path)
     assert re.search(r"\*\*2 of 30 learners beat the best searcher, which learns nothing, over 2 kinds of rooms: "
@@ -303,7 +303,7 @@ def test_real_trials_are_kept_line_by_line(tmp_path: Path):
         ("q-learning", number, room) for number in (1, 2, 3)}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_real_runs_have_the_chosen_settings_and_are_not_made_twice(tmp_path: Path):
     study, args = run(tmp_path, agents=(MODEL, "oracle"), kinds=(PAIR,), rooms=1)
     store = open_store(study, args.docs)
@@ -340,7 +340,7 @@ def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path
         *((agent, f"{PAIR}/test[0]") for agent in ("smdp-dqn", MODEL)), (MODEL, f"{PAIR}/test[1]")]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_learner_is_not_run_where_it_cannot_be(tmp_path: Path):
     study, args = run(tmp_path, agents=("hiro+learned", "oracle"), kinds=("ladder-1/reach",), rooms=1)
     store = open_store(study, args.docs)

@@ -227,7 +227,7 @@ def test_rooms_where_no_learner_escapes_are_named():
     assert said not in tell_page(INTRA_OPTION, [dataclasses.replace(line, escapes=1.0) for line in lines])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_another_truth_is_another_page():
     fast = [dataclasses.replace(line, episodes=3, first_escape=40) if line.agent == "hamq+planned" else line
             for line in make_lines({"maxq-q+planned": 0.2, "+planned": 0.5, "smdp": 0.5}, searcher=0.3)
@@ -259,7 +259,7 @@ def test_settings_that_are_no_defaults_are_those_that_the_page_names():
     assert all(f"`{name}`" in told.partition("learn from 32")[2].partition("every 50")[0] for name in search)
 
 
-@pytest.mark.in_turn_for("hierarchies")
+@pytest.mark.nightly_for("hierarchies")
 @STUDIES
 def test_rooms_have_one_start_and_no_chance_but_where_there_is_noise(study):
     grid = study.grids[0]

@@ -197,7 +197,7 @@ TRUTHS: dict[str, tuple[Callable[[Levels], float], list[str]]] = {
 }
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_different_truths_get_different_conclusions():
     said = {name: " ".join(conclude(analyse_screening(Screening.make("sarsa", make_runs(truth)))))
             for name, (truth, _) in TRUTHS.items()}
@@ -210,7 +210,7 @@ def test_different_truths_get_different_conclusions():
     assert "No quantity of the logs is shown to carry the effect of buffer." in said["replay causes it"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_intervals_leave_0_out_just_where_an_effect_is_shown_and_power_is_told():
     runs = make_runs(lambda on: 0.3 + 0.03 * on["choices"], rooms=3, noise=0.05)
     findings = analyse_screening(Screening.make("sarsa", runs))
@@ -292,7 +292,7 @@ def test_rooms_that_were_added_after_a_look_are_told(truth: Callable[[Levels], f
     assert not tell_first_look(findings, None)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_first_look_is_at_the_first_rooms_alone():
     weak, strong = (make_runs(lambda on, height=height: 0.3 + height * on["choices"], rooms=5, noise=0.05)
                     for height in (0.03, 0.3))
@@ -316,7 +316,7 @@ def test_two_fresh_rooms_say_nothing():
 # --- page and command ------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     published = [run for name in ALGORITHMS
                  for run in make_runs(lambda on: 0.1 + 0.5 * on["exploration"], algorithm=name)]

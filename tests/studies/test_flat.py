@@ -108,6 +108,7 @@ def test_a_decision_ends_with_its_episode_and_the_next_one_begins_anew():
     assert torch.equal([streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1], after)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("repeat", [pytest.param(1, marks=pytest.mark.slow), 8])
 def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
     room = generate(get_preset("paper-one-button"), 0)
@@ -405,6 +406,7 @@ def test_settings_are_those_of_the_best_trials(tmp_path: Path):
         choose_candidate(LEAGUE, lines[:-1], label)
 
 
+@pytest.mark.nightly
 def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
                                                   capsys: pytest.CaptureFixture[str]):
     (table,) = [{name: value for name, value in table.items() if name != "price"}

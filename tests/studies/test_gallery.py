@@ -32,6 +32,7 @@ def test_the_fewest_operators_are_those_known(preset, fewest):
     assert count_fewest(generate(get_preset(preset), 0)) == fewest
 
 
+@pytest.mark.nightly
 def test_what_was_measured_is_not_measured_again(tmp_path: Path):
     command = ["gallery", "--presets", "four-button-chain", "--runs", "1", "--primitives", "60", "--episodes", "1"]
     assert main([*command, "--docs", str(tmp_path)]) == 0

@@ -90,7 +90,7 @@ def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_ce
     assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learners_from_many_rooms_at_once_stand_in_the_place_of_those_from_one(tmp_path: Path):
     many = dataclasses.replace(LINE, agent=MEMORY + AT_ONCE, primitives=1_000_000, efficiency=0.8)
     lines = [LINE, dataclasses.replace(LINE, agent=MEMORY, efficiency=0.4), many]
@@ -171,7 +171,7 @@ def test_other_rungs_are_told_by_what_was_learned_there_and_beside_searching():
     assert "`lattice` to `pair`" in told and "`pair` to `lattice`" not in told, "the searcher of the rung tested in"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_other_rungs_are_told_once_all_are_there(tmp_path: Path):
     lines = make_transfers({("chain", "lattice"): 0.8})
     page = tell("generalisation", [LINE, *lines], tmp_path)
@@ -190,7 +190,7 @@ def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: 
             for seed in range(10)]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "memory1-0.6-Give a generalist more training rooms (+0.50) before a memory of its episode (+0.10).")
 @pytest.mark.parametrize(("memory", "objects", "words"), [
     ((0.6, 0.7), 0.2, "Give a generalist a memory of its episode (+0.50) before more training rooms (+0.10)."),

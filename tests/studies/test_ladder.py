@@ -71,7 +71,8 @@ SOUND = {CHANCE: [0.4, 0.3, 0.1], KNOWN: [1.0, 1.0, 1.0], IN_ORDER: [0.5, 0.4, 0
 ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly
+@pytest.mark.nightly_for(
     "references3-learner3-noisy3-told3", "references4-learner4-noisy4-told4", "references6-learner6-noisy6-told6",
     "references0-learner0-noisy0-told0", "references1-learner1-noisy1-told1", "references2-learner2-noisy2-told2",
     "references5-learner5-noisy5-told5")
@@ -129,7 +130,7 @@ def test_runs_in_one_room_are_one_room_to_the_tests():
     assert "no difference is shown on 1 of 1 step" in page and "on none of 2 rungs (paired by room, Holm)" in page
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_of_a_learner_on_one_rung_no_fall_is_denied():
     once = [line for line in make_cells({"smdp-ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low"]
     for others, told in (({}, False), ({"smdp-dqn": [1.0, 0.5, 0.0]}, True)):
@@ -149,7 +150,7 @@ def test_agents_over_options_and_over_primitives_have_tables_of_their_own():
     assert "**Over" not in tell(make_cells(flat, 1000), RUNGS)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_ladder_scores_are_over_the_largest_table_without_gaps():
     lines = [*make_cells(SOUND), *make_cells({"smdp-dqn": [0.9, 0.6, 0.0]}, 1000),
              *(line for line in make_cells({"smdp-ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low")]
@@ -190,6 +191,7 @@ def test_the_page_says_what_an_agent_with_three_parents_is_told():
     assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`." in page
 
 
+@pytest.mark.nightly
 def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung():
     rooms = "x/low/train#0..64 and 2 more > x/low/test#0..3 and 2 more"
     runs = [dataclasses.replace(LINE, protocol=TOWER, rung=TOWER, rooms=rooms, agent=agent, seed=seed, episodes=3,
@@ -259,7 +261,7 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
     assert "Nothing is concluded, as no learner has 10 rooms on a rung beside a searcher" in tell(alone, RUNGS)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_who_plays_as_chance_does_is_said_to_have_no_model():
     lines = [dataclasses.replace(LINE, rung=RUNGS[0], rooms=f"test[{room}]", agent=agent, primitives=primitives,
                                  efficiency=0.1 + 0.01 * room, escapes=0.4)

@@ -128,7 +128,7 @@ def test_missing_cells_are_refused():
     assert list(gather(both, lines)) == [KIND["title"]], "what is there is told of"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
     lines = {line.place: line for kind in STUDY.data["kind"] for line in make_lines((0.5, 0.5, 0.5), 0.5, kind=kind)}
     page = write_page("marks", list(lines.values()), tmp_path)

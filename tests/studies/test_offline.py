@@ -92,7 +92,7 @@ def test_eight_questions_on_stitching_share_their_level():
     assert "cost some" in alone and "cost nothing that shows" in together
 
 
-@pytest.mark.in_turn_for("0.99-The best searcher that learns nothing does better")
+@pytest.mark.nightly_for("0.99-The best searcher that learns nothing does better")
 @pytest.mark.parametrize(("searcher", "words"), [(0.1, "than the best searcher finds out"),
                                                  (0.99, "The best searcher that learns nothing does better"),
                                                  (0.5, "cannot be told apart from the best searcher")])
@@ -101,7 +101,7 @@ def test_the_headline_asks_whether_the_best_learner_beats_the_best_searcher(sear
     assert words in page.conclusions[0]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_best_of_several_learners_is_held_against_the_best_of_several_searchers():
     def efficiency(agent, kind):
         return {"search-backtrack": 0.9, "smdp-fitted-q": 0.7}.get(agent, 0.5)

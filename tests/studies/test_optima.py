@@ -32,7 +32,7 @@ from tests.classic.taxi import Taxi, make_task_graph
 DYNAMICS = {"still": {}, "noisy": {"noisy": True}, "fickle": {"fickle": True}}
 
 
-@pytest.mark.in_turn_for("noisy", "fickle")
+@pytest.mark.nightly_for("noisy", "fickle")
 @pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_taxi_has_the_optima_of_sweeps_and_of_nested_tasks(dynamics):
     env = Taxi(**DYNAMICS[dynamics])
@@ -48,7 +48,7 @@ def test_taxi_has_the_optima_of_sweeps_and_of_nested_tasks(dynamics):
         assert price.hierarchical < price.flat - 2.0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_program_for_taxi_loses_nothing_where_passengers_stand_by_their_word():
     price = compute_price(make_tabular_model(Taxi()), taxi_program.drive, read=taxi_program.read)
     assert price.hierarchical == pytest.approx(price.flat) and price.recursive is None
@@ -129,7 +129,7 @@ def follow(model, root, tasks):
     return np.linalg.solve(system, paid)[0]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=12, deadline=None)
 @given(draw_world(), st.sampled_from([-2.0, 0.0, 2.0]))
 def test_no_policy_of_the_hierarchy_is_better_and_the_recursive_one_is_no_better(model, pseudo):
@@ -163,6 +163,7 @@ def test_a_deterministic_environment_is_enumerated():
     assert compute_price(model, flat(4), 0.9).flat == pytest.approx(0.9 ** (fewest[103] - 1))
 
 
+@pytest.mark.nightly
 def test_what_has_no_model_or_no_such_price_is_refused():
     with pytest.raises(UnsupportedError, match="no attributes P"):
         read_model(gymnasium.make("CartPole-v1"))

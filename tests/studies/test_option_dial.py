@@ -26,7 +26,7 @@ def curve():
     return {failure: press(150, failure=failure) for failure in (0.0, 0.25, 0.5, 0.75, 1.0)}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_call_is_worth_its_discount_where_it_arrives_and_nothing_elsewhere(curve):
     assert curve[0.0] == pytest.approx(np.full(150, WHOLE)) and not curve[1.0].any()
     assert set(np.round(curve[0.5], 9)) == {0.0, round(WHOLE, 9)}
@@ -34,6 +34,7 @@ def test_a_call_is_worth_its_discount_where_it_arrives_and_nothing_elsewhere(cur
     assert not press(2, missing=1.0).any(), "it may not start"
 
 
+@pytest.mark.nightly
 def test_a_planned_option_that_fails_in_four_of_ten_calls_is_placed_there(curve):
     place = place_on_dial(curve, press(400, seed=7, failure=0.4))
     assert place.failure == pytest.approx(0.4, abs=4 * (0.24 / 400 + 0.25 / 150) ** 0.5)

@@ -43,7 +43,7 @@ FIGURES = tuple(grid.name for grid in PAPER.grids)
 # --- raw results -----------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_raw_runs_hold_every_episode_and_evaluation_and_survive_their_file(finished: Comparison, tmp_path: Path):
     summary, runs = summarise(finished), collect_runs(finished)
     assert len(runs) == len(finished.runs)
@@ -146,7 +146,7 @@ def make_paper_results(score: float, training: float, runs: int = 10, chance: fl
     }
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_every_claim_can_come_out_either_way():
     good, bad = make_paper_results(1.0, 1.0), make_paper_results(0.0, 0.0)
     falling, rising = make_paper_results(1.0, 1.0), make_paper_results(1.0, 1.0)
@@ -160,7 +160,7 @@ def test_every_claim_can_come_out_either_way():
         assert {"yes", "no"} <= {finding.agrees for finding in findings}, claim.says
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_claims_are_rarely_answered_where_nothing_is_true():
     """Shares of runs exactly at the edge, all claims at once: of 40 families few give any answer at all."""
     source, families = np.random.default_rng(4), 0
@@ -219,6 +219,7 @@ def test_departures_from_the_rerun_follow_the_numbers():
         assert any(told.startswith(f"{alike} with meta-actions:") for told in close)
 
 
+@pytest.mark.nightly
 def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     runs = [run for own in make_paper_results(1.0, 0.5).values() for run in own]
     raw = save("paper", runs, tmp_path)

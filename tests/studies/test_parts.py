@@ -87,6 +87,7 @@ def nothing(_: int) -> float:
 # --- other truths ----------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_truth_in_which_no_part_pays():
     finding, abstract = write(make_runs({}))
     assert finding == ("No part of a hierarchy is shown to pay: neither commitment, nor geometry, nor memory, nor "
@@ -97,7 +98,7 @@ def test_a_truth_in_which_no_part_pays():
     assert "is not shown to need more or fewer primitives than" in abstract[7]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_truth_in_which_only_commitment_pays():
     finding, abstract = write(make_runs({"commitment": lambda n: 6.0}))
     assert finding.startswith("What pays is commitment (up to ")
@@ -107,6 +108,7 @@ def test_a_truth_in_which_only_commitment_pays():
     assert "only the constant is shown to fall with commitment" in abstract[6]
 
 
+@pytest.mark.nightly
 def test_a_truth_in_which_only_structure_pays_and_lowers_the_exponent():
     finding, abstract = write(make_runs({"structure": lambda n: n**0.8}))
     assert finding.startswith("What pays is structure (up to ")
@@ -120,7 +122,7 @@ def test_a_truth_in_which_only_structure_pays_and_lowers_the_exponent():
     assert f", {len(kept)} of these again in fresh rooms" in fresh[0] and ", none of these again in fresh" in fresh[1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_truth_in_which_all_parts_add():
     finding, abstract = write(make_runs({"commitment": lambda n: 3.0, "geometry": lambda n: 5.0,
                                          "memory": lambda n: 2.0, "structure": lambda n: 2.0}))
@@ -163,7 +165,7 @@ def test_fresh_rooms_are_said_to_give_exponents_again_only_where_they_do():
     assert "In the first rooms no part lowered an exponent; here" in tell_again([first, second], there)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_part_that_costs_is_said_to():
     finding, abstract = write(make_runs({"memory": lambda n: 0.25}))
     assert "memory" in finding and "pays is" not in finding
@@ -221,6 +223,7 @@ def test_a_cell_is_given_up_after_its_first_runs_with_some_number_of_buttons_all
     assert not is_given_up([*runs[:4], dataclasses.replace(runs[4], first_escape=9)], 8, 5)
 
 
+@pytest.mark.nightly
 def test_the_page_says_how_many_runs_are_still_to_be_made():
     runs = make_runs({"geometry": lambda n: 4.0})
     assert not list_missing(DATA, "first", runs)
@@ -247,7 +250,8 @@ def test_laws_are_told_apart():
     assert (tell_law(power), tell_law(steep), tell_law(None)) == ("power law", "exponential", "too few sizes")
 
 
-@pytest.mark.in_turn_for("10.0-0.9")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("10.0-0.9")
 @pytest.mark.parametrize(("gain", "expected"), [(0.5, 0.0), (10.0, 0.9), (1000.0, 1.0)])
 def test_the_exchange_rate_is_where_the_gain_is_gone(gain: float, expected: float):
     runs = make_runs({"structure": lambda n: gain}, spread=0.05)
@@ -258,6 +262,7 @@ def test_the_exchange_rate_is_where_the_gain_is_gone(gain: float, expected: floa
     assert said.replace("90%", f"{found.failure:.0%}") in write(runs)[1][7]
 
 
+@pytest.mark.nightly
 def test_what_each_question_would_see_was_simulated_before_the_runs():
     tests = len(DATA["questions"]) * len(DATA["rules"])
     assert 1 < compute_power(0.5, 100, tests) < compute_power(1.0, 100, tests) < compute_power(1.0, 25, tests)
@@ -335,6 +340,7 @@ def test_runs_go_on_and_come_out_again_to_the_same_bits(tmp_path: Path):
     assert {run.seed for run in store.load()} == {500, 501, 502}
 
 
+@pytest.mark.nightly
 def test_published_runs_come_out_again():
     lines = open_store(STUDY, None).load()
     chosen = [line for line in lines if line.cell in ("options + both", "flat + commitment") and line.buttons == 2][:4]
@@ -349,7 +355,7 @@ def test_every_cell_escapes_from_a_small_room(walks):
     assert found.first_escape is not None and found.near_best is None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_learner_comes_near_the_best():
     found = play_cell(Cell("planned", structure=True), SETTINGS, make_small(buttons=2), 1, 5_000, 10_000, 5_000)
     assert found.near_best is not None and found.first_escape == found.near_best, "every escape is near so lax a best"

@@ -295,7 +295,7 @@ def test_numbers_have_two_digits_and_all_before_the_point(value: float, told: st
 # --- rooms and runs ------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_rooms_are_relabelled_chains_in_which_presses_can_be_efficient():
     orders = set()
     for buttons in BUTTON_COUNTS:
@@ -343,6 +343,7 @@ def test_a_run_over_presses_ends_with_two_efficient_evaluations(tmp_path: Path):
     assert run.buttons == 1 and 0 < run.escapes <= run.episodes
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("streams", [0, 4])
 def test_a_run_over_primitives_is_given_up_at_its_budget(streams: int):
     few = {"rollout": 256, "epochs": 1}
@@ -392,6 +393,7 @@ def test_the_figure_has_a_curve_a_learner_and_size_but_for_single_runs():
     assert legend is not None and [text.get_text() for text in legend.get_texts()] == ["dqn"]
 
 
+@pytest.mark.nightly
 def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
     labels = {contestant.label for contestant in CONTESTANTS}
     lines = [make_line(label, buttons, number, 300.0 * buttons * (1 + 30 * (label in PAIRS)))

@@ -46,7 +46,7 @@ def read(changes: dict[tuple[str, str], tuple[float, ...]], folder: Path, search
     return write_page("profiles", make_lines(changes, searcher), folder)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_profiles_that_cross_are_told_by_the_axes_on_which_they_do(tmp_path: Path):
     high = (0.95, 0.9, 0.85, 0.8)
     page = read({(MODEL, "depth"): high, (TABLE, "branching"): high}, tmp_path)
@@ -55,14 +55,14 @@ def test_profiles_that_cross_are_told_by_the_axes_on_which_they_do(tmp_path: Pat
     assert all((tmp_path / f"figures/{name}.svg").stat().st_size > 5_000 for name in ("profiles", "profiles-axes"))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_one_learner_that_is_best_everywhere_is_one_order(tmp_path: Path):
     page = read({(MODEL, axis.name): (0.9,) * 4 for axis in AXES[:3]}, tmp_path)
     assert ("One order holds on all axes: nobody is shown to beat a learned model on any, and it leads on depth, "
             "branching and violations.") in page
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_learners_that_are_alike_are_not_told_apart(tmp_path: Path):
     assert "No two of these learners are told apart on any axis." in read({}, tmp_path)
 
@@ -73,7 +73,7 @@ def test_a_lead_that_is_shared_is_no_lead(tmp_path: Path):
     assert "leads on depth" not in page and "a table leads on branching" in page
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_searching_is_beaten_where_some_learner_is_shown_to(tmp_path: Path):
     page = read({(MODEL, "depth"): (0.9,) * 4}, tmp_path)
     assert ("- On depth some learner beats the best searcher, which starts anew in each episode; on branching and "
@@ -93,7 +93,7 @@ def test_an_axis_that_gets_easier_is_no_fall(tmp_path: Path):
     assert (depth.count("↓"), branching.count("↓")) == (2, 4)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_three_falls_are_several_whoever_falls(tmp_path: Path):
     level = {(agent, axis.name): (0.6,) * 4 for agent in LEARNERS for axis in (MOTION, AXES[0])}
     page = write_page("profiles", make_lines(level, axes=(MOTION, AXES[0])), tmp_path)
@@ -131,7 +131,7 @@ def test_nobody_falls_where_rungs_are_alike(tmp_path: Path):
     assert "none does on branching and violations." in read(steep, tmp_path)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: Path):
     told = "On the upper half of depth, branching and violations the best searcher stays below 0.5."
     assert told in read({}, tmp_path, searcher=0.45)
@@ -147,14 +147,14 @@ def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: P
         assert told in write_page("profiles", lines, tmp_path)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_top_rung_that_is_solved_is_used_up(tmp_path: Path):
     assert "No axis is used up: on every top rung all learners stay below an efficiency of 0.9." in read({}, tmp_path)
     page = read({(MODEL, "depth"): (1.0,) * 4}, tmp_path)
     assert "The top rung of depth is all but solved" in page
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_axes_with_too_few_rooms_are_left_out_and_named(tmp_path: Path):
     lines = [line for line in make_lines({}) if line.rung != "branching-4" or "[9]" not in line.rooms]
     page = write_page("profiles", lines, tmp_path)

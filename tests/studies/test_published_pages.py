@@ -18,6 +18,9 @@ from studies.study import find_study, list_studies
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 
 
+@pytest.mark.nightly_for(
+    "parts", "ladder", "canon", "scaling", "paper", "learned", "hierarchies", "buttons", "intra-option", "profiles",
+    "price", "budgets", "factorial")
 @pytest.mark.parametrize("name", list_studies())
 def test_a_published_page_is_what_its_results_give(name: str):
     study = find_study(name)

@@ -85,7 +85,7 @@ def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_pa
         assert run.structure[-1][1:] == (1.0, 1.0)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_run_gives_the_published_numbers(tmp_path):
     """These runs are lines of the study's results."""
     published = Store(find_study("scaling").folder / "raw.jsonl", (ScalingRun,)).load()
@@ -159,7 +159,7 @@ def small_study(monkeypatch):
         monkeypatch.setattr(scaling, name, value)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, small_study):
     def call(minutes=5.0):
         return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, make_console(), parts=PARTS))
@@ -173,7 +173,7 @@ def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_pa
     assert results[1].stat().st_mtime_ns == stamps[1], "finished runs are kept"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_no_run_begins_after_the_time_is_up_and_finished_ones_count(tmp_path, small_study):
     assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console(), parts=PARTS) == []
     finished = run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
@@ -202,7 +202,7 @@ def test_one_study_at_a_time_in_a_folder(tmp_path):
             run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     results = [make_result(), make_result(run=1, first=600, near=None), make_result(rule="reset"),
                make_result("random-options", first=None, near=None), make_result(buttons=20)]
@@ -222,6 +222,7 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     assert (tell("scaling", results[::-1], tmp_path), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
 
 
+@pytest.mark.nightly
 def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkeypatch):
     """A run that was made again takes its line's place; all other lines stay, and what they tell stays on the page."""
     for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2,))):
@@ -251,7 +252,7 @@ def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_r
     assert not list(tmp_path.glob("runs/*/runs/*")) and load("scaling", tmp_path) == [make_result()]
 
 
-@pytest.mark.in_turn_for("1-commands0")
+@pytest.mark.nightly_for("1-commands0")
 @pytest.mark.parametrize(("told_runs", "commands"), [
     (1, ["python -m studies scaling --runs 1 --primitives 20000"]),
     (3, ["python -m studies scaling --parts bar agents --runs 1 --primitives 20000",
@@ -370,6 +371,7 @@ def test_what_structure_learners_are_told_is_what_the_labels_say():
     assert dataclasses.replace(noisy, name=exact.name, dynamics=exact.dynamics) == exact
 
 
+@pytest.mark.nightly
 def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_path):
     told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 1": None})
     bar = [make_result(run=run, rule="reset") for run in range(10)]

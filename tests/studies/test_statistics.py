@@ -92,7 +92,7 @@ def test_false_discoveries_are_scipys():
 # --- what would have been seen ---------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_interval_of_a_median_is_that_of_order_statistics():
     """Of ten numbers the second and the ninth: the median lies outside with probability 2 (1 + 10) / 1,024 = 2.1 %."""
     assert compute_median_interval(range(10, 0, -1)) == (5.5, 2, 9)

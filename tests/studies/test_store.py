@@ -63,7 +63,7 @@ for seed in range(1, 41):
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_processes_that_add_at_once_lose_no_line_of_each_other(tmp_path: Path):
     store = Store(tmp_path / "raw.jsonl", (BaselineRun,))
     store.add([LINE])

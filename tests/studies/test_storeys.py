@@ -53,6 +53,7 @@ def test_a_floor_that_was_not_played_is_missed():
         write_page("storeys", make_lines((0.8, 0.9, 0.95))[1:])
 
 
+@pytest.mark.nightly
 def test_what_was_found_out_below_pays_above_and_only_where_it_is_carried():
     tower = repeat_set(load_benchmark("marks-3")["storeys"].test, 2)
     carried, forgotten = (play_towers(DATA["ceiling"], tower, repeats, 6) for repeats in (True, False))

@@ -84,7 +84,7 @@ def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(
     assert "All agents escape as often." in (docs / "one-button.md").read_text()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_two_processes_of_one_study_that_share_a_folder_keep_all_lines(planted: Path):
     docs = planted.parent / "docs"
     with ThreadPoolExecutor() as pool:

@@ -144,6 +144,7 @@ def test_failures_count_with_the_time_limit_in_the_part_they_end_in():
     assert summarise("someone", ROOMS[0], 3, [(200, 200, False)], 1000, data).first_escape is None
 
 
+@pytest.mark.nightly
 def test_all_four_run_and_the_log_counts_every_step():
     for agent in (OPTIONS, VELOCITIES, *CHANCE):
         run = run_once(DATA | {"steps": 500}, agent, ROOMS[0], 1)
@@ -157,6 +158,7 @@ def test_all_four_run_and_the_log_counts_every_step():
     assert log.ends == [(400, 400, False)] and log.steps == 400
 
 
+@pytest.mark.nightly
 def test_no_searcher_beats_the_best_order_and_the_planner_escapes():
     data = DATA | {"rooms": {"two": {"preset": "paper-two-button", "side": 12.0}}}
     order, plan, *searchers = (play_reference(data, name, "two").end for name in (ORDER, PLAN, *DATA["searchers"]))

@@ -211,6 +211,7 @@ def room():
     env.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("explores_by", ["options", "repeats"])
 def test_random_primitives_are_as_many_as_epsilon_says_and_all_are_learned_from(room, explores_by):
     settings = {"epsilon_start": 0.3, "epsilon_end": 0.3, "warmup": 10**6, "n_step": 1}
@@ -315,7 +316,8 @@ def test_an_option_is_imagined_up_to_the_touch_or_the_way_in_that_has_not_happen
     assert late[-1].reward > 0 and imagine(pressed, leave)[-1].reward == late[-1].reward * agent.settings.reward_scale
 
 
-@pytest.mark.in_turn_for("random ways", "options")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("random ways", "options")
 @pytest.mark.parametrize("looks_along", WAYS)
 def test_a_learner_that_looks_ahead_imagines_as_many_primitives_as_it_runs(room, model, looks_along):
     agent = make_lookahead(looks_along, room, model, 0, {"warmup": 10**6})

@@ -86,7 +86,7 @@ def test_chance_takes_every_option_alike():
     assert sum(counts) == 300 and min(counts) > 70
 
 
-@pytest.mark.in_turn_for("code", "lattice-5", "freight")
+@pytest.mark.nightly_for("code", "lattice-5", "freight", "pair")
 @pytest.mark.parametrize("rung", ["pair", "code", "lattice-5", "freight"])
 def test_the_planner_escapes_by_the_fewest_actions_of_the_model_that_it_is_told(rung: str):
     pytest.importorskip("unified_planning")

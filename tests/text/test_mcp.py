@@ -41,7 +41,7 @@ def test_a_client_sees_the_session():
     assert heard == [tuple(twin.call(*call)) for call in calls] and session.transcript == twin.transcript
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
 def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_path: Path):
     import anyio

@@ -40,7 +40,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
     games = verify_games(file)
     assert games == load_games(file) and len(games) == 4 and games[3].options == {"option_set": "press-with-ancestors"}
@@ -49,7 +49,7 @@ def test_games_replay_to_the_same_bytes(file: Path, tmp_path: Path):
     assert [game.score.escaped for game in games[:2]] == [True, True]
 
 
-@pytest.mark.in_turn_for("<lambda>-differs3")
+@pytest.mark.nightly_for("<lambda>-differs3")
 @pytest.mark.parametrize(("change", "problem"), [
     (lambda lines: lines[:1] + [lines[1].replace("Took ", "Took 1")] + lines[2:], "differs"),
     (lambda lines: [lines[0].replace("a closed room", "an open room", 1), *lines[1:]], "differs"),
@@ -76,7 +76,7 @@ def test_a_damaged_file_is_one_error_that_names_it(content: str, tmp_path: Path)
             read(tmp_path / "bad.jsonl")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
     lines = file.read_text().splitlines()
     (tmp_path / "cut.jsonl").write_text("\n".join(lines[:-2]) + "\n")

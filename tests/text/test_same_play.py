@@ -11,7 +11,7 @@ from tests.text.rooms import RUNGS, get_room, make_env, play_manager, play_refer
 SEARCH_BASELINES = ("search-random", "search-nearest", "search-backtrack", "sweep")
 
 
-@pytest.mark.in_turn_for("clutter")
+@pytest.mark.nightly_for("clutter", "freight")
 @pytest.mark.parametrize("rung", RUNGS)
 def test_a_searcher_that_reads_the_text_alone_does_what_the_searcher_that_reads_the_room_does(rung: str):
     room = get_room(rung)
@@ -38,7 +38,7 @@ def through_the_tools(name: str, rung: str, number: int, seed: int) -> None:
     assert session.env.characters == text.characters
 
 
-@pytest.mark.in_turn_for("freight", "clutter")
+@pytest.mark.nightly_for("freight", "clutter")
 @pytest.mark.parametrize("rung", RUNGS)
 def test_calls_made_one_by_one_lead_to_the_states_of_the_searcher(rung: str):
     through_the_tools("search-nearest", rung, 1, 3)

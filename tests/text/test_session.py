@@ -268,7 +268,7 @@ def test_trials_in_one_room_share_a_transcript():
     assert len(begun) == 2 and begun[1].startswith("Try 2 in the same room.") and text.score().primitives == 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_episode_of_lattice_takes_fewer_than_20_000_input_tokens():
     tokens = [play_manager("search-nearest", get_room("lattice", number), number, "places")[1].characters / 4
               for number in range(10)]

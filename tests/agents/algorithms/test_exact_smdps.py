@@ -79,7 +79,7 @@ READ = {
 }
 
 
-@pytest.mark.in_turn_for("MaxqQ-1")
+@pytest.mark.nightly_for("MaxqQ-1", "MacroQ-2", "Eigenoptions-0", "RMax-1", "FeudalRl-0", "RMaxq-2")
 @pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
     env = make_env(seed)
@@ -103,6 +103,7 @@ def pay_for(smdp, goal):
     )  # fmt: skip
 
 
+@pytest.mark.nightly_for("0", "2")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ways_to_goals_are_worth_the_discount_of_their_last_primitive(seed):
     env = make_env(seed)
@@ -132,6 +133,7 @@ def find_distances(smdp, goal):
     return lengths
 
 
+@pytest.mark.nightly_for("0", "2")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_distances_are_counted_in_primitives_over_legal_actions_and_never_through_an_end(seed):
     env = make_env(seed)
@@ -197,7 +199,7 @@ def solve_graph(smdp):
     return inner[:, 1:], solve(whole, GAMMA)
 
 
-@pytest.mark.in_turn_for("stack-3")
+@pytest.mark.nightly_for("stack-3")
 @pytest.mark.parametrize(("name", "seed"), cover(list(GRAPH_MAKERS), RETURNING))
 def test_tasks_are_worth_what_they_earn_also_where_they_get_stuck(name, seed):
     """Learners of a stack bootstrap where a call is cut, in their own view, which is exact for the task below alone."""
@@ -248,7 +250,7 @@ def test_what_a_machine_was_told_is_a_part_of_its_state():
     assert found == {(0, 0): 1.0, (0, 1): 0.0, (1, 0): 0.0, (1, 1): 1.0}
 
 
-@pytest.mark.in_turn_for("1")
+@pytest.mark.nightly_for("1")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_search_does_not_change_with_the_unit_of_reward(seed):
     smdp = spread_options(make_random_smdp(seed, states=4, actions=3, branches=1, longest=5), seed)

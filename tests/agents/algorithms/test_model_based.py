@@ -92,7 +92,7 @@ def show_all_of_taxi(agent, taxi, states, observe):
             agent.observe(SMDPTransition(here, action, mask, reward, reward, 1, GAMMA, there, mask, over, False))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_r_max_equals_value_iteration_on_taxi_once_all_is_known(taxi):
     env, states, exact = taxi
     settings = RMaxSettings(gamma=GAMMA, optimistic_value=20.0, tolerance=1e-12)
@@ -134,7 +134,7 @@ def test_factored_r_max_finds_which_numbers_of_taxi_matter_to_a_move(taxi):
     assert learner.over in learner.list_active(dropoff)
 
 
-@pytest.mark.in_turn_for("3")
+@pytest.mark.nightly_for("3")
 @pytest.mark.parametrize("visits", [1, 3])
 def test_r_max_respects_its_own_visit_bound(visits):
     """It tries what it tried less than m times, m |S| |A| times at most, and else does what its model says."""
@@ -162,7 +162,7 @@ def test_r_max_respects_its_own_visit_bound(visits):
         assert exact[state, agent.act_greedy(env.observe(state), mask, rng)] == pytest.approx(exact[state].max())
 
 
-@pytest.mark.in_turn_for("any")
+@pytest.mark.nightly_for("any")
 @pytest.mark.parametrize("conditions", ["all-on", "any"])
 def test_factored_r_max_equals_value_iteration_on_an_enumerated_bit_flip(conditions):
     env = BitFlipEnv()
@@ -180,7 +180,7 @@ def test_factored_r_max_equals_value_iteration_on_an_enumerated_bit_flip(conditi
     assert agent.get_graph() == {(lower, bit) for bit in range(4) for lower in range(bit)}
 
 
-@pytest.mark.in_turn_for("layered-20-ignore-5000", "layered-10-reset-4000")
+@pytest.mark.nightly_for("layered-20-ignore-5000", "layered-10-reset-4000")
 @pytest.mark.parametrize(
     ("kind", "buttons", "rule", "primitives"),
     [("layered", 20, "ignore", 5_000), ("layered", 10, "reset", 4_000), ("random", 10, "ignore", 3_000)],
@@ -213,7 +213,7 @@ def test_where_an_action_is_masked_is_learned_like_what_it_does():
         assert sorted(pressed) == [*sorted(needed), env.targets]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_sampled_partial_models_escape_and_recover_most_edges():
     first, precision, recall, _ = learn_puzzle(
         "monte-carlo-model", make_button_env("layered", 15, "ignore", 1), 4_000, 1)
@@ -308,6 +308,7 @@ def test_pictures_are_refused(name):
         make_agent(name, spaces.Box(0, 255, (84, 84, 3), np.uint8), spaces.Discrete(2), 0)
 
 
+@pytest.mark.nightly_for("switchboard-0.0")
 @pytest.mark.parametrize(("rung", "planned"), [("switchboard", 0.0), ("chain-3", 1.0)])
 def test_the_log_says_where_a_learner_has_no_model_to_plan_in(tmp_path, rung, planned):
     """A switch turns its neighbours too, which no two parents explain: after some exploration all is chance."""

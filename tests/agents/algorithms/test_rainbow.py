@@ -128,6 +128,7 @@ def learn_path(**settings):
     return np.array([agent.compute_values(row) for row in rows])
 
 
+@pytest.mark.nightly
 def test_values_of_options_come_near_the_exact_ones_with_the_default_support():
     exact = solve(PATH, 0.9)
     assert learn_path() == pytest.approx(exact, abs=1.0)
@@ -136,7 +137,7 @@ def test_values_of_options_come_near_the_exact_ones_with_the_default_support():
     assert RainbowSettings().bounds == pytest.approx((-100, 100))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_support_of_clipped_games_saturates_here():
     assert learn_path(lowest_return=-10.0, highest_return=10.0).max() < 11 < 40 < solve(PATH, 0.9).max()
 

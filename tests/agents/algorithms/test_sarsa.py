@@ -29,7 +29,8 @@ def learn_chain(horizon=100, **changes):
     return [float(agent.compute_values(row)[0]) for row in np.eye(4, dtype=np.float32)]
 
 
-@pytest.mark.in_turn_for("False")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("False")
 @pytest.mark.parametrize("expected", [False, True])
 def test_sarsa_learns_the_chains_values(expected):
     q0, q1, q2, _ = learn_chain(expected=expected)
@@ -38,7 +39,7 @@ def test_sarsa_learns_the_chains_values(expected):
     assert q0 == pytest.approx(-2 + GAMMA * (-3 + GAMMA * 10), abs=0.1)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_with_the_late_terminal_the_last_but_one_sees_nothing_and_the_last_goes_on():
     q0, q1, q2, after = learn_chain(late_terminal=True)
     assert q1 == pytest.approx(-3, abs=0.1)
@@ -46,6 +47,7 @@ def test_with_the_late_terminal_the_last_but_one_sees_nothing_and_the_last_goes_
     assert q2 == pytest.approx(10 + GAMMA * after, abs=0.1)
 
 
+@pytest.mark.nightly
 def test_trap_3_a_cut_episode_still_has_a_future():
     """Cut after two decisions, s2 is only ever reached, never left: s1 is worth -3 + gamma Q(s2) nevertheless."""
     _, q1, q2, _ = learn_chain(horizon=2)

@@ -140,19 +140,21 @@ def train_options(name: str, primitives: int):
     return train(agent=f"smdp-{name}", env=env, primitives=primitives, seed=0, eval_episodes=1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", thin(NAMES, step=3, first=1))
 def test_options_are_learned_through_the_public_door(name: str):
     """Near the best known return of 66, which chance misses by 40."""
     assert train_options(name, 3_000).evaluations[-1].mean_return > 55
 
 
-@pytest.mark.in_turn_for("torchrl-dqn", "torchrl-sac")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("torchrl-dqn", "torchrl-sac")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_seed_gives_the_same_run(name: str):
     assert train_options(name, 300) == train_options(name, 300)
 
 
-@pytest.mark.in_turn_for("torchrl-sac")
+@pytest.mark.nightly_for("torchrl-sac")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_agent_that_took_up_a_state_has_the_digest_of_the_one_that_left_it(name: str):
     trained = train_options(name, 300).agent

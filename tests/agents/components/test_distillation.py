@@ -61,6 +61,7 @@ def test_a_restored_bonus_goes_on_to_the_last_bit():
     assert [restored.visit(each) for each in later] == [bonus.visit(each) for each in later]
 
 
+@pytest.mark.nightly
 def test_pictures_have_novelty_where_counts_have_no_cells():
     pictures = gymnasium.spaces.Box(0, 255, (36, 36, 1), np.uint8)
     settings = DQNSettings(bonus_weight=1.0, bonus="distillation", learning_rate=1e-3)
@@ -105,7 +106,7 @@ def test_an_agent_with_distillation_resumes_to_the_last_bit(name: str):
     assert runs[0] == runs[1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_distillation_finds_the_end_of_a_corridor_without_rewards_that_chance_does_not():
     states = 24
 

@@ -91,7 +91,7 @@ def test_boltzmann_with_keras_rls_clip_cannot_tell_values_beyond_it_apart():
     assert exact == pytest.approx([0, 0, 1])
 
 
-@pytest.mark.in_turn_for("boltzmann")
+@pytest.mark.nightly_for("boltzmann")
 @pytest.mark.parametrize("kind", ["epsilon-greedy", "boltzmann"])
 def test_samples_follow_the_probabilities(kind):
     settings = ExplorationSettings(exploration=kind, epsilon_start=0.5, epsilon_end=0.5)

@@ -163,7 +163,7 @@ class Stopping(BitFlip):
         return super().step(action)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_stopped_run_goes_on_to_the_same_bits_and_its_agent_loads(tmp_path):
     settings = {"hindsight_goals": 4, "warmup": 20, "replay_capacity": 150, "hidden": (8,)}
     ask = {"primitives": 120, "settings": settings, "checkpoint_seconds": 0, "eval_episodes": 2, "eval_every": 60}

@@ -133,7 +133,7 @@ def test_many_environments_and_one_remember_the_same():
         assert one._latest == pytest.approx(lived[0].detach().numpy(), abs=1e-6)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_memory_keeps_the_contract_of_agents():
     check_agent(PPO, PPOSettings(**SMALL | {"epochs": 2, "batch_size": 16}), decisions=200)
 
@@ -147,13 +147,14 @@ def train_mazes(seed, memory):
     return evaluate(result.agent, TMaze(), 40, seed=1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_with_a_memory_the_t_maze_is_solved_to_the_optimum(seed):
     found = train_mazes(seed, "gru")
     assert found.mean_return == pytest.approx(TMaze.BEST) and set(found.lengths) == {CORRIDOR + 1}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_one_nobody_beats_a_guess():
     assert train_mazes(0, "none").mean_return <= TMaze.FORGETFUL + 0.25
 

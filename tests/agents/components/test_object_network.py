@@ -118,7 +118,7 @@ def test_a_copy_computes_by_its_own_weights_and_a_network_is_freed_with_its_last
         gc.enable()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_outputs_that_are_remembered_are_those_of_the_weights_now_and_nobody_else_s():
     rng = np.random.default_rng(2)
     settings = PPOSettings(network="objects", hidden=(12, 12))

@@ -134,7 +134,7 @@ EXACT = {
 }
 
 
-@pytest.mark.in_turn_for("r-max")
+@pytest.mark.nightly_for("r-max", "sarsa")
 @pytest.mark.parametrize("name", [pytest.param("dqn", marks=pytest.mark.slow), "sarsa", "q-learning", "r-max"])
 def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name):
     def make():
@@ -158,13 +158,14 @@ def test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_lim
     counts = []
     for settings in ({"stream_updates": 1}, {"stream_updates": 4}, {}):
         many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-        agent = train("dqn", many, primitives=4_000, eval_env=make(), eval_episodes=0,
+        agent = train("dqn", many, primitives=1_000, eval_env=make(), eval_episodes=0,
                       settings=DEEP | settings | {"gamma": 0.9}).agent
         counts.append(agent.values.learner.updates)
-    assert counts[2] == pytest.approx(0.25 * (4_000 - 100), abs=10), "a quarter of the primitives after the warm-up"
-    assert counts[1] == pytest.approx(4 * counts[0], rel=0.02) and counts[1] < 0.9 * counts[2]
+    assert counts[2] == pytest.approx(0.25 * (1_000 - 100), abs=10), "a quarter of the primitives after the warm-up"
+    assert counts[1] == pytest.approx(4 * counts[0], rel=0.05) and counts[1] < 0.9 * counts[2]
 
 
+@pytest.mark.nightly
 def test_ddpg_prefers_the_best_action_of_every_state_in_many_environments_at_once():
     def make():
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)

@@ -92,7 +92,7 @@ def test_few_eigenoptions_make_a_walk_far_slower_and_more_of_them_faster(kind, d
     assert found == pytest.approx((primitives, decisions), rel=1e-3)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_one_sign_alone_does_not_do():
     directions = find_slow_directions(ADJACENCY, 8, "random-walk")
     both, one = (compute_diffusion_time(AFTER, make_options(directions, signs))[0] for signs in ((1, -1), (1,)))
@@ -102,7 +102,7 @@ def test_one_sign_alone_does_not_do():
 # --- covering options ---------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_edges_join_the_corners_and_raise_the_algebraic_connectivity():
     joined, connectivity, edges = ADJACENCY.copy(), [], []
     for _ in range(4):

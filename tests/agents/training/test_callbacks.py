@@ -62,7 +62,7 @@ def test_a_run_that_a_callback_ended_goes_on_to_the_same_bits_without_it(tmp_pat
     assert later.begun[0].first > ended.primitives and later.rows[0]["primitives"] >= later.begun[0].first
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_callbacks_hear_of_runs_in_many_environments():
     notes = Notes(last=2)
     many = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)

@@ -80,7 +80,7 @@ def read_everything(folder):
             assert str(error).strip() and len(str(error)) < 2_000
 
 
-@pytest.mark.in_turn_for("log.jsonl", "checkpoint.npz", "result.json")
+@pytest.mark.nightly_for("log.jsonl", "checkpoint.npz", "result.json")
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_with_changed_bytes_is_read_or_refused_in_words(whole, tmp_path, name):
     chance = random.Random(name)
@@ -93,7 +93,7 @@ def test_a_file_with_changed_bytes_is_read_or_refused_in_words(whole, tmp_path, 
         read_everything(folder)
 
 
-@pytest.mark.in_turn_for("run.json", "log.jsonl", "result.json")
+@pytest.mark.nightly_for("run.json", "log.jsonl", "result.json")
 @pytest.mark.parametrize("name", FILES)
 def test_a_file_with_values_of_another_kind_is_read_or_refused_in_words(whole, tmp_path, name):
     chance = random.Random(name)
@@ -276,7 +276,7 @@ except FileWriteError as error:
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_full_disk_is_told_at_once_with_its_reason(tmp_path):
     """The limit on a file's size stands for a disk that fills up."""
     done = run_fork(FULL, tmp_path / "run", cwd=Path(__file__).parents[3])

@@ -103,9 +103,9 @@ def flatten(tree, where=""):
     return {where: repr(tree.item() if isinstance(tree, np.generic) else tree)}
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "torchrl-dqn-default", "torchrl-sac-default", "dac-default", "dqn-keras-rl-2019", "vigorito-barto-default",
-    "sarsa-default-changed")
+    "sarsa-default-changed", "sarsa-paper")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
@@ -137,7 +137,7 @@ TREES = st.dictionaries(
 )
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=25)
 @given(tree=TREES)
 def test_any_state_tree_survives_a_checkpoint(tmp_path_factory, tree):
@@ -187,9 +187,10 @@ def read_log(folder):
     return [{key: value for key, value in row.items() if not key.startswith("time/")} for row in rows]
 
 
-@pytest.mark.in_turn_for(
-    "rainbow-default", "factored-r-max-default", "monte-carlo-model-default", "a2oc-default",
-    "fun-default", "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed")
+@pytest.mark.nightly_for(
+    "rainbow-default", "factored-r-max-default", "monte-carlo-model-default", "a2oc-default", "fun-default",
+    "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed",
+    "torchrl-ppo-corrected", "ppoc-corrected", "diayn-corrected", "ddpg-corrected", "ddpg-paper")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")
@@ -231,7 +232,7 @@ def count_rows(folder):
     return log.read_bytes().count(b"\n") if log.exists() else 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
     pieces, whole = tmp_path / "pieces", tmp_path / "whole"
     chance = random.Random(0)
@@ -464,7 +465,7 @@ def test_an_unfinished_run_has_no_result_yet(tmp_path):
         load_result(tmp_path)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=20)
 @given(decisions=st.integers(0, 60), seed=st.integers(0, 3), variant=st.sampled_from(VARIANTS))
 def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_factory, decisions, seed, variant):

@@ -144,6 +144,7 @@ def test_crafted_archives_write_nothing_outside_their_folder(folder, archive, tm
     assert unpacked < count / 10
 
 
+@pytest.mark.nightly
 def test_a_long_list_of_members_is_refused_before_it_is_read(archive, tmp_path):
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as many:

@@ -231,6 +231,7 @@ def test_rooms_of_the_batched_engine_show_the_state_that_their_episode_ended_in(
     assert ends == 8 * 4
 
 
+@pytest.mark.nightly
 def test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached(monkeypatch):
     seen = []
 
@@ -284,7 +285,7 @@ def make_interrupted(kind):
     return env
 
 
-@pytest.mark.in_turn_for("ppo-rooms-37", "dqn-rooms-37", "r-max-poles-200")
+@pytest.mark.nightly_for("ppo-rooms-37", "dqn-rooms-37", "r-max-poles-200", "dac-rooms-37", "ppo-poles-200")
 @pytest.mark.parametrize(("name", "kind", "stop"), [
     ("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37), ("dac", "rooms", 37),
     ("q-learning", "rooms", 37), ("r-max", "poles", 200),
@@ -309,7 +310,8 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monk
     assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
 
 
-@pytest.mark.in_turn_for("200000-1")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("200000-1")
 @pytest.mark.parametrize(("remade", "begun"), [(200_000, 1), (100, 4)])
 def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_after_enough_actions(
     tmp_path, monkeypatch, remade, begun
@@ -348,7 +350,7 @@ def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_say
     assert result.resumed_at > 0 and result.primitives >= 400
 
 
-@pytest.mark.in_turn_for("smdp-ppo", "smdp-dac")
+@pytest.mark.nightly_for("smdp-ppo", "smdp-dac")
 @pytest.mark.parametrize("name", ["smdp-ppo", "smdp-dqn", "smdp-dac"])
 def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
@@ -360,7 +362,7 @@ def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     assert len(result.evaluations) >= 2 and sum(segment.episodes for segment in result.segments) > 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_failed_sea_is_logged_as_no_success():
     class Counted(BatchedOptionsEnv):
         ends = successes = 0
@@ -436,7 +438,7 @@ def test_what_cannot_train_in_many_environments_says_so():
         train("ppo", poles, primitives=10)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_run_in_many_environments_ends_with_two_evaluations_that_are_good_enough(monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
     arguments = {"primitives": 600, "settings": SMALL, "eval_every": 100, "eval_episodes": 1}
@@ -461,7 +463,7 @@ def test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_
     assert torch.allclose(old, log_policy.gather(1, action[:, None]).squeeze(1), atol=1e-6)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_equal_seeds_give_equal_runs_and_others_differ():
     def run(seed):
         result = train("ppo", make_rooms(), primitives=300, seed=seed, settings=SMALL, eval_episodes=0)

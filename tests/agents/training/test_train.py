@@ -174,6 +174,7 @@ def list_choices(agent, env, seed):
     return [(t.action, t.observation.tobytes()) for t, _ in play_episode(agent, env, seed)]
 
 
+@pytest.mark.nightly_for("ppoc", "dac", "a2oc", "sarsa", "option-critic")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
     agent = run(name).agent
@@ -186,6 +187,7 @@ def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
     assert flatten(agent.state_dict()) == before
 
 
+@pytest.mark.nightly_for("ppoc", "dac", "diayn", "ddpg", "a2oc", "sarsa", "option-critic")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_how_often_one_evaluates_does_not_change_what_is_learned(name):
     often, never = run(name, eval_every=20), run(name, eval_episodes=0)
@@ -222,7 +224,7 @@ def compute_digest():
     return hashlib.sha256("".join(texts).encode()).hexdigest()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_same_run_gives_the_same_bits_in_another_process():
     code = "from tests.agents.training.test_train import compute_digest; print(compute_digest())"
     environment = os.environ | {"PYTHONHASHSEED": "7"}
@@ -279,7 +281,7 @@ def test_another_seed_gives_another_run():
     assert run(seed=1).episodes != run(seed=2).episodes
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_global_random_state_is_neither_read_nor_touched():
     import torch
 
@@ -298,6 +300,7 @@ def test_a_result_survives_json():
     assert read_record(TrainResult, json.loads(json.dumps(result.to_json()))) == result
 
 
+@pytest.mark.nightly_for("ppoc", "a2oc", "sarsa")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_logged_name_is_explained(tmp_path, name):
     run(name, out=tmp_path)
@@ -324,7 +327,7 @@ def test_the_log_tells_how_actions_are_chosen(tmp_path, name, settings):
             assert all(row["train/entropy"] == 0 if epsilon == 0 else 1 < row["train/entropy"] < 2 for row in rows)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_every_explained_name_is_logged_by_some_agent(tmp_path):
     logged = set()
     for name in (*LEARNERS, "skill-chaining", "hrc", "factored-r-max"):
@@ -385,7 +388,7 @@ def test_a_loss_that_is_nan_names_run_and_primitive_and_keeps_the_checkpoint(tmp
     assert caught.value.primitives > 0 and (tmp_path / "run" / "run.json").exists()
 
 
-@pytest.mark.in_turn_for("dqn", "sarsa", "ddpg")
+@pytest.mark.nightly_for("dqn", "sarsa", "ddpg")
 @pytest.mark.parametrize("name", ["dqn", "sarsa", "ddpg", "ppo"])
 def test_a_learning_rate_that_diverges_is_told_with_loss_and_gradient(tmp_path, name):
     settings = SMALL[name] | {"learning_rate": 10.0, "updates_per_step": 1.0}
@@ -437,7 +440,7 @@ except FileWriteError as error:
 """
 
 
-@pytest.mark.in_turn_for("3000-log.jsonl")
+@pytest.mark.nightly_for("3000-log.jsonl")
 @pytest.mark.parametrize(("limit", "file"), [(3_000, "log.jsonl"), (1_200, "checkpoint.npz")])
 def test_a_full_disk_is_one_clear_error_and_spoils_nothing(tmp_path, limit, file):
     done = run_fork(FULL_DISK, tmp_path / "run", limit, cwd=ROOT)
@@ -468,7 +471,7 @@ def test_impossible_arguments_are_named(arguments, message):
 # --- learning ----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("sarsa")
+@pytest.mark.nightly_for("sarsa", "dqn")
 @pytest.mark.parametrize("name", ["q-learning", "dqn", "sarsa"])
 def test_agents_over_options_leave_the_button_grid_in_few_primitives(name):
     """The shortest way is 6 + 6 + 18 or so; the random policy over the same options scores -44."""
@@ -477,12 +480,13 @@ def test_agents_over_options_leave_the_button_grid_in_few_primitives(name):
     assert result.evaluations[-1].mean_return > 50
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_ppo_over_options_leaves_the_button_grid():
     result = train("smdp-ppo", ButtonGrid(), primitives=12_000, seed=0, eval_every=12_000, eval_episodes=10)
     assert result.evaluations[-1].mean_return > 50
 
 
+@pytest.mark.nightly
 def test_pictures_can_be_learned_from():
     class Pictures(gymnasium.ObservationWrapper):
         def __init__(self, env):

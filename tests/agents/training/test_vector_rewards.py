@@ -19,7 +19,8 @@ from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 
 GAMMA = 0.9
 SMALL = {"rollout": 4, "epochs": 1, "batch_size": 8, "hidden": (8,), "gamma": GAMMA}
-each_vector = pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
+each_vector = pytest.mark.parametrize("vector", [
+    SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=pytest.mark.nightly)])  # each starts two interpreters
 each_mode = pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.value)
 
 
@@ -258,6 +259,9 @@ def test_masks_are_those_of_the_copies_that_give_one_in_each_kind_of_reset(vecto
         envs.close()
 
 
+@pytest.mark.nightly_for(
+    "batch of rooms-SameStep", "batch of rooms-Disabled", "some masks-SameStep", "some masks-NextStep",
+    "options-NextStep", "options-Disabled")
 @each_mode
 @pytest.mark.parametrize("make_envs", [
     lambda mode: SyncVectorEnv([lambda: make_masked(3), lambda: make_masked(5, False)], autoreset_mode=mode),

@@ -109,7 +109,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert code == 2 and "no rung was run here" in err
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
     make_manifest().save(tmp_path / "mine.json")
     options = ["--protocol", "per-instance", "--rooms", "1", "--runs", "1", "--primitives", "10", "--eval-episodes",
@@ -120,7 +120,7 @@ def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
     assert place.instance == Benchmark(make_manifest())["one"].test[0] and place.name.endswith("one/test[0]")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     options = ["--from", "doormat", "--protocol", "transfer"]
     budget = ["--rung", "pair", "--rooms", "1", "--train-sizes", "1", "--runs", "1", "--primitives", "10",
@@ -146,6 +146,7 @@ def test_no_rooms_runs_primitives_or_episodes_are_refused(capsys, option, rungs)
     assert code == 2 and out == "" and f"{option.replace('-', '_')} = 0 is not possible" in err
 
 
+@pytest.mark.nightly
 def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
     axes = (AxisRecord("size", ("one",), "objects"), AxisRecord("depth", ("five",)))
     dataclasses.replace(make_manifest(), axes=axes).save(tmp_path / "mine.json")
@@ -160,7 +161,7 @@ def test_a_benchmark_with_axes_gives_a_profile(capsys, tmp_path):
     assert code == 0 and "1.00 (1.00)" in told and (out / "per-instance/profile.svg").stat().st_size > 5_000
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     options = ["run", "random-options", "oracle", "--rung", "doormat", "--rooms", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
@@ -180,6 +181,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     assert code == 2 and "with --ray or --slurm" in err and err.count("\n") == 1
 
 
+@pytest.mark.nightly
 def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
     agents = ["smdp-dqn+objects+memory", "sweep", "oracle"]
     options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "1",
@@ -211,6 +213,7 @@ def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     assert code == int(chance >= 0.5) == len(told["faults"]["doormat"])
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("agents", "rooms", "trained"), [
     (["random-options", "oracle"], 1, 1),
     pytest.param(["random-options", "smdp-dqn+objects+memory", "oracle"], 2, 3, marks=pytest.mark.slow)])

@@ -75,7 +75,7 @@ def page(source: str) -> Page:
 # --- it stands alone -------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_page_fetches_nothing(source: str, page: Page):
     assert not re.search(r"https?:|//[a-z0-9.-]+\.[a-z]{2,}/|@import|url\(|\bfetch\(|XMLHttpRequest|import\(", source)
     sources = [attributes[name] for _, attributes in page.tags for name in ("src", "href", "srcset", "data")
@@ -86,7 +86,7 @@ def test_the_page_fetches_nothing(source: str, page: Page):
     assert str(policy).startswith("default-src 'none'")
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_same_runs_write_the_same_page(finished: Comparison, source: str):
     write_report(finished, COMMAND)
     assert (finished.out / "report.html").read_text() == source
@@ -95,7 +95,7 @@ def test_the_same_runs_write_the_same_page(finished: Comparison, source: str):
 # --- it says what it must --------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_page_begins_with_the_verdict(finished: Comparison, summary: Summary, page: Page):
     for sentence in write_verdict(summary):
         assert sentence.text.replace("`", "") in page.text
@@ -289,7 +289,7 @@ def dump_page(path: Path, folder: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium")
 def test_the_page_works_in_a_browser_without_network(summary: Summary, source: str, tmp_path: Path):
     probed = tmp_path / "probed.html"
@@ -330,6 +330,7 @@ frame.onload = () => {{
 </script>"""
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium")
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
 def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_path: Path, width: int):
@@ -354,7 +355,7 @@ def test_what_learns_nothing_is_one_thin_line_without_a_band(summary: Summary, p
     assert max(widths[label] for label in levels) < min(widths[label] for label in set(widths) - levels)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_page_names_commands_that_show_the_best_run_in_three_dimensions(finished: Comparison, source: str,
                                                                           tmp_path: Path):
     commands = re.findall(r"hrl-escape (?:watch|record) .*", html.unescape(source))

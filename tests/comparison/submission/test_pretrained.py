@@ -25,7 +25,7 @@ load_once = cache(load_pretrained)
 AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent in agents]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "ladder-1/chain-smdp-factored-r-max", "ladder-1/chain-3-smdp-ppo+objects+memory",
     "ladder-1/chain-3-smdp-q-learning", "ladder-1/clutter-smdp-factored-r-max",
     "ladder-1/code-smdp-r-max", "ladder-1/house-smdp-factored-r-max@three-parents",
@@ -35,9 +35,8 @@ AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent 
     "ladder-1/doors-smdp-q-learning", "ladder-1/freight-smdp-r-max",
     "ladder-1/lattice-5-smdp-factored-r-max", "ladder-1/lattice-6-smdp-factored-r-max",
     "ladder-1/switchboard-smdp-r-max", "marks-1/told-smdp-ppo+objects+memory",
-    "marks-2/motifs-smdp-ppo+objects+memory",
-    "marks-3/deceived-smdp-ppo+objects+memory",
-    "marks-3/places-smdp-ppo+objects+memory")
+    "marks-2/motifs-smdp-ppo+objects+memory", "marks-3/deceived-smdp-ppo+objects+memory",
+    "marks-3/places-smdp-ppo+objects+memory", "ladder-1/drift-smdp-factored-r-max+no-primitives")
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
     found = load_once(rung, agent)
@@ -77,6 +76,7 @@ def test_whatever_names_no_rung_is_its_own_driver(tmp_path: Path):
     assert find_driver("tower") == ("tower", None), "no agent comes for it"
 
 
+@pytest.mark.nightly
 def test_there_are_pretrained_agents_they_are_small_and_stand_on_the_board():
     assert {rung.name for rung in load_benchmark("ladder-1")} == LEARNED.keys(), "one for every rung"
     assert {"marks-1/told", *READ_RUNGS, *(f"ladder-1/{name}" for name in LEARNED)} <= list_pretrained().keys()

@@ -45,7 +45,7 @@ def test_a_program_sees_observations_masks_and_nothing_else(tmp_path, monkeypatc
     env.close()
 
 
-@pytest.mark.in_turn_for("five")
+@pytest.mark.nightly_for("five")
 @pytest.mark.parametrize("rung", ["one", "five"])
 def test_the_program_to_begin_with_is_the_searcher_of_the_references_to_the_bit(tmp_path, rung):
     starter = Path(submission.__file__).with_name("starter")
@@ -73,7 +73,7 @@ def test_a_program_that_does_not_answer_as_agreed_is_told_so(tmp_path, monkeypat
     assert words in str(error.value) and len(str(error.value)) < 500 and not (tmp_path / "it.zip").exists()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_a_program_has_started_ends_with_it(tmp_path):
     code = ("import os, subprocess, sys\n"
             f"child = subprocess.Popen(['sleep', '300']); open({str(tmp_path / 'pid')!r}, 'w').write(str(child.pid))\n"

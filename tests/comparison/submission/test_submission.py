@@ -87,7 +87,7 @@ def test_rooms_played_again_alone_are_equal_and_a_forged_one_differs(packed, tmp
     assert Submission.from_json(json.loads(json.dumps(submission.to_json()))) == submission
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_hash_of_an_agent_is_of_the_agent_alone(run, packed, tmp_path):
     here = read_submission(packed)
     fewer = pack_submission(tmp_path / "fewer.zip", get_rung(), make_card(name="other"), str(run), rooms=1)

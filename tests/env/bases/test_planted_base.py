@@ -49,7 +49,7 @@ def test_a_name_that_no_base_has_is_refused():
         RobotConfig(footprint="diamond")
 
 
-@pytest.mark.in_turn_for("dynamics1")
+@pytest.mark.nightly_for("dynamics1")
 @pytest.mark.parametrize("dynamics", [DynamicsConfig(), DynamicsConfig(noise=0.1, slip=0.1)])
 def test_both_engines_move_it_alike(diamond, dynamics):
     found = compare([make_room(diamond, seed, dynamics=dynamics) for seed in range(2)], 500, copies=10)

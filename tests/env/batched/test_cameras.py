@@ -50,7 +50,7 @@ def list_neighbours(picture):
     return np.stack([padded[i : i + HEIGHT, j : j + WIDTH] for i in range(3) for j in range(3)])
 
 
-@pytest.mark.in_turn_for("clutter", "sokoban", "paper-two-button")
+@pytest.mark.nightly_for("clutter", "sokoban", "paper-two-button")
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "door-key", "sokoban"])
 def test_depth_and_labels_are_those_of_bullets_cameras(name):
     instance = generate(all_configs()[name], 1)

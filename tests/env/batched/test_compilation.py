@@ -19,6 +19,7 @@ def exchange(shifts: dict[str, Tensor], pair: Pair) -> tuple[Pair, dict[str, Ten
     return Pair(pair.right - shifts["by"], pair.left), {"is_less": pair.left < pair.right}, None
 
 
+@pytest.mark.nightly
 def test_a_compiled_step_returns_what_the_function_returns_and_hands_on_the_same_tensors():
     shifts, ones = {"by": torch.tensor([5.0])}, torch.ones(7)
     run = CompiledStep(exchange, "cpu", 1).bind(shifts)

@@ -58,7 +58,7 @@ def play(room, seeds, steps=80):
 # --- episodes and streams --------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
     seeds = list(range(100, 112))
     together = play(make_rooms(12), seeds)
@@ -145,7 +145,7 @@ def test_reset_with_seeds_and_a_mask_reseeds_only_those_rooms():
 # --- states ----------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_states_go_out_and_back_and_go_on_exactly():
     room = make_rooms(6)
     room.reset(torch.arange(6))
@@ -170,7 +170,7 @@ def test_states_go_out_and_back_and_go_on_exactly():
     assert [other.get_room_state(i) for i in range(6)] == [room.get_room_state(i) for i in range(6)]
 
 
-@pytest.mark.in_turn_for("joints")
+@pytest.mark.nightly_for("joints")
 @pytest.mark.parametrize("config", [NOISY, get_preset("arm-two-button")], ids=["no joints", "joints"])
 def test_states_of_some_rooms_are_those_of_batches_of_one(config):
     room = make_rooms(5, config=config)
@@ -209,7 +209,7 @@ def test_states_of_another_robot_or_engine_are_refused():
 # --- puzzles ---------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("31", "32", "63", "64")
+@pytest.mark.nightly_for("31", "32", "63", "64")
 @pytest.mark.parametrize("count", [1, 2, 31, 32, 63, 64])
 def test_puzzles_follow_their_scalar_rules_up_to_64_bits(count):
     rng = np.random.default_rng(count)

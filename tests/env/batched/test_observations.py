@@ -17,7 +17,7 @@ KINDS = sorted(observation.name for observation in list_observations() if observ
 NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "door", "sixty-four-buttons"]
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "paper-two-button-egocentric", "clutter-objects", "noisy-egocentric", "sixty-four-buttons-objects",
     "door-features", "arm-two-button-features")
 @pytest.mark.parametrize(("name", "kind"), cover(NAMES, KINDS))

@@ -58,7 +58,7 @@ def encode(form, puzzles, states):
     return torch.tensor([as_signed(form.encode(*pair)) for pair in zip(puzzles, states, strict=True)])
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "potions, three features", "blocks-world", "buttons", "buttons, dead ends", "bit-flip", "lights-out",
     "lights-out 4 x 6", "hanoi", "recipes", "code-lock", "light-box", "light-box, sure", "deep-sea", "pin-pad",
     "potions", "factored", "factored, sure", "foraging", "taxi")
@@ -67,6 +67,7 @@ def test_a_tensor_form_does_what_the_puzzle_does(name):
     compare(name, [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)])
 
 
+@pytest.mark.nightly_for("blocks-world", "code-lock")
 @pytest.mark.parametrize("kind", MIXED)
 def test_so_it_does_where_rooms_have_different_numbers_of_targets(kind):
     compare(kind, [config.make_puzzle(np.random.default_rng(seed)) for seed in range(10) for config in MIXED[kind]])

@@ -51,7 +51,9 @@ def count_blue(picture):
     return int(((blue > 60) & (blue > 1.5 * green) & (blue > 2 * red)).sum())
 
 
-@pytest.mark.in_turn_for("many-obstacles", "noisy")
+@pytest.mark.nightly_for(
+    "many-obstacles", "noisy", "light-box", "four-rooms", "dead-ends", "multi-room", "lights-out", "smallest",
+    "potions", "foraging")
 @pytest.mark.parametrize("name", thin([*PRESETS, *EXTREMES], 3))
 def test_every_camera_pictures_every_room(name):
     room = make_room(name, seed=1)
@@ -68,6 +70,7 @@ def test_every_camera_pictures_every_room(name):
     room.close()
 
 
+@pytest.mark.nightly
 def test_puddles_lie_on_the_floor():
     """They cover 71 of the 441 m^2 of floor; the picture shows walls besides."""
     room = make_room("puddle-world")
@@ -77,7 +80,7 @@ def test_puddles_lie_on_the_floor():
     room.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_same_state_gives_the_same_picture_in_any_room_and_process():
     script = """
 import hashlib, sys
@@ -108,7 +111,7 @@ print(digest.hexdigest())
     assert digest.hexdigest() == there.strip()
 
 
-@pytest.mark.in_turn_for("push-block")
+@pytest.mark.nightly_for("push-block")
 @pytest.mark.parametrize("name", ["clutter", "push-block", "door"])
 def test_taking_pictures_changes_nothing(name):
     watched, unwatched = make_room(name), make_room(name)
@@ -191,7 +194,7 @@ def test_walls_hide_the_trail_behind_them():
     assert np.array_equal(behind_wall, plain) and np.array_equal(behind_eye, plain)
 
 
-@pytest.mark.in_turn_for("sixteen-rooms", "many-obstacles", "clutter")
+@pytest.mark.nightly_for("sixteen-rooms", "many-obstacles", "clutter")
 @pytest.mark.parametrize("name", ["clutter", "sixteen-rooms", "door", "many-obstacles"])
 def test_the_chase_camera_sees_the_robot_wherever_it_is(name):
     room = make_room(name)
@@ -205,7 +208,7 @@ def test_the_chase_camera_sees_the_robot_wherever_it_is(name):
     assert hidden == 0
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_cutting_walls_the_chase_camera_would_not_see_it(monkeypatch):
     monkeypatch.setattr(bullet_cameras, "_hides", lambda *_: False)
     with pytest.raises(AssertionError):
@@ -259,7 +262,7 @@ def test_pushed_blocks_are_seen_where_they_are():
     assert after[0] > before[0] + 10 and abs(after[1] - before[1]) < 10
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_pictures_free_what_they_needed():
     room = make_room("paper-one-button")
     renderer = BulletRenderer(room.instance)

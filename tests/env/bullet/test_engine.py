@@ -58,7 +58,7 @@ floors = st.builds(
 )
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=40)
 @given(floors, st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 5), st.integers(1, 4)), max_size=12))
 def test_body_is_inside_and_keeps_its_skin_whatever_it_does_asked_of_bullet(config, seed, runs):
@@ -73,7 +73,7 @@ def test_body_is_inside_and_keeps_its_skin_whatever_it_does_asked_of_bullet(conf
             assert abs(room.state.y) <= instance.reach_y
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.integers(0, 20), st.lists(st.integers(0, 3), min_size=5, max_size=25), st.data())
 @settings(max_examples=25)
 def test_body_keeps_its_skin_through_the_doorway_while_the_door_opens_and_shuts(seed, actions, data):
@@ -134,7 +134,7 @@ def test_base_and_hand_stand_in_bullet_where_the_state_says(make_room, name):
         assert hand[4] == pytest.approx(room.rules.get_hand(room.state), abs=1e-6)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_open_door_swings_out_of_the_room(make_room):
     for seed in range(6):  # doors in all four walls
         room = make_room(all_configs()["door"], seed=seed)
@@ -201,7 +201,7 @@ def make_physics_room():
     return BulletRoom(generate(dataclasses.replace(config, dynamics=DynamicsConfig(kind="physics")), 0))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_forgotten_room_frees_its_client():
     before = count_clients()
     room = BulletRoom(generate(get_preset("paper-one-button"), 0))
@@ -227,7 +227,7 @@ def read_resident_mib():
         return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-@pytest.mark.in_turn_for("physics")
+@pytest.mark.nightly_for("physics")
 @pytest.mark.skipif(not os.path.exists("/proc/self/statm"), reason="reads Linux's /proc")
 @pytest.mark.parametrize("kind", ["kinematic", "physics"])
 def test_opening_and_closing_leaves_no_memory_behind(kind):

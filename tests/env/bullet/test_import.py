@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 from hrl_escape.env import bullet
 from tests.command_line import run_python
 
@@ -18,6 +20,7 @@ def test_only_lines_with_the_given_start_are_dropped(capfd):
     assert capfd.readouterr().err == "warning: noise\nnoise: afterwards\n"
 
 
+@pytest.mark.nightly
 def test_the_engine_imports_with_stderr_closed():
     done = run_python("import os; os.close(2); import hrl_escape.env.bullet.engine; print('imported')")
     assert done.stdout == "imported\n"

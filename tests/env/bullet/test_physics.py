@@ -62,7 +62,7 @@ def play(room, actions):
 WIDE = RoomConfig(room=ShapeConfig(width=200, depth=200), start=StartConfig(place="fixed"))
 
 
-@pytest.mark.in_turn_for("arm", "kuka")
+@pytest.mark.nightly_for("arm", "kuka")
 @pytest.mark.parametrize("robot", [
     RobotConfig(), RobotConfig(joints=7, link_length=0.1), RobotConfig(kind="kuka-iiwa", joints=7),
     RobotConfig(move_step=0.3, turn_step_deg=45, joints=2, joint_step_deg=3),
@@ -121,7 +121,7 @@ def check_drive(seed: int, runs: list[tuple[int, int]], step: float) -> None:
         room.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @settings(max_examples=10)
 @given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
        st.sampled_from([0.7, 5.0]))
@@ -129,7 +129,7 @@ def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
     check_drive(seed, runs, step)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_body_wedged_into_a_gap_too_narrow_hardly_overlaps():
     check_drive(198, [(0, 1), (2, 1), (1, 3)], 5.0)
 
@@ -140,7 +140,7 @@ def test_a_body_deep_in_a_wall_drives_off(make_room):
     assert room.step(BACK).state.x == pytest.approx(9.258 - 1.0, abs=0.02)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_body_that_runs_into_the_far_wall_of_the_alcove_is_in_the_exit():
     room = make_thin_room(296, 5.0)  # where its second move ends against that wall
     try:
@@ -281,7 +281,7 @@ def test_a_door_left_open_closes_when_the_puzzle_is_undone(make_room):
 # --- pushing ---------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("4")
+@pytest.mark.nightly_for("4")
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_scripted_policy_pushes_the_block_onto_the_plate_and_leaves(make_room, seed):
     room = make_room(get_preset("push-block"), seed=seed)
@@ -294,7 +294,7 @@ def test_a_scripted_policy_pushes_the_block_onto_the_plate_and_leaves(make_room,
     assert block[2] == pytest.approx(0.2, abs=1e-3)  # it slid, it was not lifted or toppled
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_block_that_nobody_touches_stays_where_it_is(make_room):
     room = make_room(get_preset("push-block"))
     first = room.state.physics.props
@@ -350,7 +350,7 @@ def choose_actions(room, number):
     return np.random.default_rng(7).choice(count, number, p=chances / chances.sum()).tolist()
 
 
-@pytest.mark.in_turn_for("clutter", "noisy-kuka", "arm")
+@pytest.mark.nightly_for("clutter", "noisy-kuka", "arm")
 @pytest.mark.parametrize("name", ROOMS)
 def test_a_state_continues_bit_for_bit_in_its_room_and_in_another(make_room, name):
     room, other = make_room(ROOMS[name]), make_room(ROOMS[name])
@@ -379,7 +379,7 @@ print(json.dumps([repr(t) for t in play(room, choose_actions(room, 25))]))
 """
 
 
-@pytest.mark.in_turn_for("noisy-kuka")
+@pytest.mark.nightly_for("noisy-kuka")
 @pytest.mark.parametrize("name", ["push-block", "noisy-kuka"])
 def test_another_process_runs_the_same_trajectory_bit_for_bit(make_room, name):
     room = make_room(ROOMS[name])

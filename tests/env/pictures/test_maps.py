@@ -56,7 +56,7 @@ class Picture:
         return bool(np.abs(self.get_colour(x, y) - 255 * np.array(palette.to_rgb(colour))).max() < 25)
 
 
-@pytest.mark.in_turn_for("many-obstacles")
+@pytest.mark.nightly_for("many-obstacles")
 @pytest.mark.parametrize("name", ["clutter", "door", "paper-two-button", "many-obstacles"])
 def test_every_thing_is_drawn_at_its_place(name):
     instance, state = make_room(name)
@@ -77,7 +77,7 @@ def test_every_thing_is_drawn_at_its_place(name):
         assert picture.has(palette.DOOR, instance.door.x, instance.door.y)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_targets_have_the_colour_of_their_state():
     instance, state = make_room("four-button-chain")
     lit, off, waiting = palette.LIT.fill, palette.OFF.fill, palette.WAITING.fill
@@ -116,7 +116,7 @@ def test_the_arm_is_drawn_as_far_as_the_hand():
         assert picture.has(palette.HAND, x, y) and not picture.has(palette.HAND, x + 0.3, y)
 
 
-@pytest.mark.in_turn_for("sixty-four-buttons", "paper-two-button", "recipes")
+@pytest.mark.nightly_for("sixty-four-buttons", "paper-two-button", "recipes")
 @pytest.mark.parametrize("name", thin(list(SCHEMATICS), 6, first=1))
 def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
     instance, state = make_room(name, seed=1)
@@ -128,7 +128,8 @@ def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
         assert f"<!-- {target.name}" in text
 
 
-@pytest.mark.in_turn_for("sixty-four-buttons")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("sixty-four-buttons")
 @pytest.mark.parametrize("name", [
     pytest.param("twenty-button", marks=pytest.mark.slow), "ten-button", "sixty-four-buttons",
     pytest.param("paper-two-button", marks=pytest.mark.slow)])
@@ -156,7 +157,7 @@ for path in sys.argv[1:]:
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_same_map_gives_the_same_bytes_in_any_process(tmp_path):
     here, there = ([str(tmp_path / f"{place}.{ending}") for ending in ("svg", "png", "pdf")]
                    for place in ("here", "there"))
@@ -165,7 +166,7 @@ def test_the_same_map_gives_the_same_bytes_in_any_process(tmp_path):
     assert [Path(path).read_bytes() for path in here] == [Path(path).read_bytes() for path in there]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_map_images_are_pixels():
     instance, state = make_room("paper-one-button")
     image = make_map_image(instance, state, panel=False, dots_per_inch=50)

@@ -128,7 +128,7 @@ def make_puzzle(count: int, seed: int = 0) -> BlocksWorldPuzzle:
 # --- the domain ----------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("4-73")
+@pytest.mark.nightly_for("4-73")
 @pytest.mark.parametrize(("count", "towers"), [(2, 3), (3, 13), (4, 73), (5, 501)])  # OEIS A000262
 def test_there_are_as_many_states_as_the_domain_has(count, towers):
     domain = Stacks(make_puzzle(count))
@@ -229,7 +229,7 @@ def test_what_is_no_problem_is_refused_in_one_message(text, message):
         BlocksWorldConfig(problem=text).make_puzzle(np.random.default_rng(0))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_large_problems_are_solved_though_not_always_by_the_fewest_moves():
     puzzle = make_puzzle(12, 3)
     plan = puzzle.plan(puzzle.make_state())
@@ -244,7 +244,7 @@ def test_large_problems_are_solved_though_not_always_by_the_fewest_moves():
 # --- in rooms ------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("True")
+@pytest.mark.nightly_for("True")
 @pytest.mark.parametrize("hand", [False, True])
 def test_both_engines_agree_along_an_escape(hand):
     """Random play seldom builds a tower: the plan does."""
@@ -261,7 +261,7 @@ def test_both_engines_agree_along_an_escape(hand):
     assert rules.has_escaped(state) and len(puzzles) > 2
 
 
-@pytest.mark.in_turn_for("2")
+@pytest.mark.nightly_for("2")
 @pytest.mark.parametrize("count", [2, 5])
 def test_both_engines_agree_where_places_are_in_reach_all_the_time(count):
     """Places along the walls of the smallest room, touched everywhere: each grip and release then tells."""
@@ -317,7 +317,7 @@ def test_places_hang_apart_so_that_one_is_touched_at_a_time():
                 assert np.hypot(target.x - other.x, target.y - other.y) > 2 * np.hypot(0.5, 0.05) + 2 * reach
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_planner_escapes_from_every_room_of_a_sample():
     for seed in range(12):
         room = generate(get_preset("blocks-world", count=3 + seed % 3), seed)

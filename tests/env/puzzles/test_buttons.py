@@ -180,7 +180,7 @@ def test_a_failed_puzzle_takes_no_further_press_and_keeps_its_lights():
     assert not ButtonsPuzzle(3, (), 2).is_state(FAILED)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_rooms_draw_what_a_mistake_does_and_nothing_else_depends_on_it():
     marks = MarksConfig("rank", levels=5, truth=0.5)
     config = ButtonsConfig(count=5, graph=GraphConfig(kind="layered", max_parents=2), marks=marks)

@@ -50,7 +50,7 @@ def test_every_drawn_domain_is_solvable_from_everywhere_and_its_goal_is_a_furthe
     assert plan is not None and len(plan) == distances[puzzle.goal], "the model's optimum is the domain's"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(SIZES, st.integers(0, 2**32), st.lists(st.tuples(st.integers(0, 5), st.floats(0, 1)), max_size=40))
 @settings(max_examples=60, deadline=None)
 def test_presses_do_what_the_tables_say(size, seed, presses):
@@ -100,7 +100,7 @@ def test_domains_keep_the_contract(success):
     assert FactoredPuzzle.from_dict(draw((4, 3, 3), 1).to_dict()) == draw((4, 3, 3), 1)
 
 
-@pytest.mark.in_turn_for("factored")
+@pytest.mark.nightly_for("factored")
 @pytest.mark.parametrize("name", ["random-lights", "factored"])
 def test_the_planner_escapes_by_planning_anew_where_a_press_did_nothing(name):
     env = EscapeRoomEnv(name, instance_seed=2)

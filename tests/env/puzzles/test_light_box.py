@@ -29,7 +29,7 @@ def test_presses_do_what_a_graph_of_lights_does(presses):
         assert PUBLISHED.is_solved(state) == (19 in on)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_optimum_is_eleven_presses_and_more_by_the_chance_that_one_does_nothing():
     """Value iteration over all states that presses lead to, at a reward of -1 a press."""
     numbers, queue = {0: 0}, [0]

@@ -76,7 +76,7 @@ def count_true(puzzles, rules):
                     for puzzle in puzzles])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_chance():
     for truth in (1.0, 0.8, 0.0):
         rules = MarksConfig("rank", levels=4, symbols=8, truth=truth)
@@ -154,7 +154,7 @@ def test_what_wires_lead_to_is_as_frequent_as_their_likelihoods_say():
         assert count / 4000 == pytest.approx(likely[read], abs=0.03), read  # four standard errors
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @pytest.mark.parametrize("truth", [1.0, 0.6])
 def test_likelihoods_of_wires_are_those_of_the_draws(truth):
     """Given the colours: over all plugs they sum to 1 under every graph, and are the shares of plugs drawn."""
@@ -198,7 +198,7 @@ def test_every_symbol_looks_different():
     assert len({(colour, tuple(outline)) for part in looks for colour, outline in part}) == MOST_SYMBOLS
 
 
-@pytest.mark.in_turn_for("egocentric")
+@pytest.mark.nightly_for("egocentric")
 @pytest.mark.parametrize("kind", ["objects", "egocentric"])
 def test_both_engines_show_marks_on_their_targets_and_nothing_else_moves(kind):
     config = make_with(MarksConfig("rank", symbols=60), "layered", Between(2, 4))

@@ -111,7 +111,7 @@ def compute_expected(features: int, trials: int) -> float:
     return price[begin]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_is_learned_in_the_first_trial_helps_in_the_others():
     assert compute_expected(1, 1) == pytest.approx(3 / 2), "one of two potions"
     assert compute_expected(1, 3) == pytest.approx(3 / 2 + 2)
@@ -119,7 +119,7 @@ def test_what_is_learned_in_the_first_trial_helps_in_the_others():
     assert compute_expected(2, 5) == pytest.approx(11 / 3 + 4 * 2), "from the second trial on one press a feature"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_planner_knows_the_rule_and_makes_each_stone_in_one_press_a_feature():
     room = gymnasium.make("hrl_escape/Potions-v1").unwrapped
     planner = RoomPlanner(room.instance)

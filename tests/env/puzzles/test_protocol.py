@@ -98,7 +98,7 @@ def test_chance_and_first_states_are_fair_and_have_numbers_of_their_own():
     assert draw_chance(7, 5) == (philox((5, 0, CHANCE_PURPOSE, 0), (7, 0))[0] + 0.5) / 2**32 != draw_chance(7, 6)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_both_engines_draw_the_same_first_states_chances_rewards_and_failures():
     room = make_room()
     numbers, rooms = tabulate(room.puzzle).numbers, 32
@@ -168,7 +168,7 @@ def test_reference_states_spread_over_the_puzzles_first_states():
     assert [state.puzzle for state in list_start_states(make_room())] == list(Bells().list_starts())
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_strangers_puzzle_is_learned():
     env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", instance=make_room(1.0, reward=RewardConfig(exit=50)),
                                     observation="features"), include_primitives=False)

@@ -34,7 +34,7 @@ class Counter(LightsOutPuzzle):
         return state + 1
 
 
-@pytest.mark.in_turn_for("puzzle1-512-5")
+@pytest.mark.nightly_for("puzzle1-512-5")
 @pytest.mark.parametrize(("puzzle", "states", "fewest"), [
     (HanoiPuzzle(3), 3**3 + 3 * 3**2, 14), (LightsOutPuzzle(9, 3, 0, 0b111111111), 512, 5),
     (CodeLockConfig(digits=3, length=4).make_puzzle(np.random.default_rng(1)), 5, 4),

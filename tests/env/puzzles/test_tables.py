@@ -81,7 +81,7 @@ def draw_contacts(rng, targets, *, at_once):
     return Contacts(() if grip else touched, uniform=float(rng.random()), touching=touched, grip=grip)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_strangers_puzzles_do_in_one_batch_what_they_do_alone():
     kegs = [Kegs(), Kegs(2, 4, 0.5), Kegs(3, 2, 1.0), Kegs(1, 1, 0.9), Kegs()]
     form, targets, rng = get_tensor_puzzle("kegs"), 3, np.random.default_rng(0)

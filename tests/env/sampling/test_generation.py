@@ -63,7 +63,7 @@ def test_settings_that_hold_a_table_make_rooms_too():
     assert generate(tabled, 3).targets == generate(plain, 3).targets
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_largest_room_is_generated():
     instance = generate(EXTREMES["largest"], 0)
     assert sum(s.role == "obstacle" for s in instance.solids) == 200
@@ -89,7 +89,9 @@ def flood(instance, resolution):
     return [(start.x + i * resolution, start.y + j * resolution) for i, j in seen]
 
 
-@pytest.mark.in_turn_for("clutter-2")
+@pytest.mark.nightly_for(
+    "clutter-2", "door-0", "clutter-1", "door-2", "door-1", "clutter-3", "four-button-chain-3", "four-button-chain-2",
+    "four-button-chain-1")
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["clutter", "four-button-chain", "door"])
 def test_walking_the_floor_reaches_every_button_and_the_exit(name, seed):
@@ -113,7 +115,7 @@ def test_the_certificate_notices_a_walled_off_button():
     assert find_unmet_constraint(dataclasses.replace(instance, solids=(*instance.solids, cage))) is not None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_seeds_give_different_rooms():
     assert len({generate(get_preset("clutter"), seed).id for seed in range(8)}) == 8
 
@@ -137,7 +139,7 @@ def test_id_is_a_hash_of_the_content_alone():
     assert instance.id == hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_another_process_generates_the_same_instances():
     code = (
         "from hrl_escape.env.sampling.generation import generate; from hrl_escape.env.presets import *\n"
@@ -174,7 +176,7 @@ def test_unknown_preset_and_arguments_are_named():
         get_preset("larg-2019", size=9)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.data())
 def test_a_damaged_instance_file_gives_one_clear_error(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("rooms") / "room.json"

@@ -46,15 +46,15 @@ def is_solvable(instance, most=60_000):
 def test_rooms_of_large_steps_are_certified_exactly_if_a_search_of_all_states_solves_them(monkeypatch, nothing_kept):
     monkeypatch.setattr(generation, "find_unproven", lambda instance, floors: None)
     verdicts = collections.Counter()
-    for seed in range(12):
+    for seed in range(6):
         instance = generation.generate(COARSE, seed)  # certified by geometry alone
         solvable = is_solvable(instance)
         assert (find_unmet_constraint(instance) is None) == solvable
         verdicts[solvable] += 1
-    assert min(verdicts.values()) >= 3
+    assert min(verdicts.values()) >= 2
 
 
-@pytest.mark.in_turn_for("3", "0", "2", "4")
+@pytest.mark.nightly_for("3", "0", "2", "4")
 @pytest.mark.parametrize("seed", range(6))
 def test_what_is_generated_is_solvable(seed):
     try:
@@ -64,7 +64,7 @@ def test_what_is_generated_is_solvable(seed):
     assert is_solvable(instance)
 
 
-@pytest.mark.in_turn_for("ten-button")
+@pytest.mark.nightly_for("ten-button")
 @pytest.mark.parametrize("name", ["four-button-chain", "paper-two-button", "ten-button"])
 def test_where_the_condition_holds_the_search_finds_primitives_too(name, monkeypatch):
     for seed in range(3):

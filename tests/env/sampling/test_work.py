@@ -32,6 +32,7 @@ def spent(monkeypatch, nothing_kept):
     return budgets
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("config", [pytest.param(CROWDED, marks=pytest.mark.slow), CROWD_OF_STARTS],
                          ids=["obstacles", "starts"])
 def test_what_cannot_be_met_is_refused_once_the_budget_is_spent(config, spent):
@@ -42,7 +43,7 @@ def test_what_cannot_be_met_is_refused_once_the_budget_is_spent(config, spent):
 
 def test_no_room_configuration_costs_much_more_than_the_budget(spent):
     rng = np.random.default_rng(5)
-    for seed in range(6):
+    for seed in range(2):
         try:
             generation.generate(draw_config(rng), seed)
         except GenerationError:
@@ -55,7 +56,7 @@ def test_ten_thousand_starts_are_sampled():
     assert len(generation.generate(config, 0).starts) == 10_000
 
 
-@pytest.mark.in_turn_for("clutter")
+@pytest.mark.nightly_for("clutter")
 @pytest.mark.parametrize("name", ["clutter", "ten-button"])
 def test_a_certificate_that_grows_with_the_room_is_the_one_made_afresh(name):
     """Obstacle by obstacle, until one spoils the room: places of touching that are remembered change no answer."""

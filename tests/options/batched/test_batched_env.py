@@ -173,7 +173,7 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
 # --- agreement with planned options --------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("door-0.05", "inner-doors-0.05")
+@pytest.mark.nightly_for("door-0.05", "inner-doors-0.05")
 @pytest.mark.parametrize(("name", "most"), [
     pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("inner-doors", 0.05),
     ("coarse-steps", 0.15)])
@@ -185,6 +185,7 @@ def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, m
     assert not found.side_presses
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["four-rooms", pytest.param("key-chest", marks=pytest.mark.slow)])
 def test_a_plan_is_not_followed_on_after_a_slip(name):
     found = compare_options([generate(get_preset(name), 0)], 200)
@@ -200,7 +201,7 @@ def test_where_greed_leads_nowhere_the_planner_is_asked():
     assert ENDINGS[done.ended] == "reached" and int(done.duration) <= 9 + 2 * 5, "four primitives in vain, then a plan"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_greedy_presses_come_near_the_exact_fewest_primitives():
     instance = generate(SMALL, 3)
     rules = Kinematics(instance)
@@ -231,7 +232,7 @@ def play(env, seeds, steps=60):
     return torch.stack(rows, dim=1)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
     seeds = list(range(40, 60))
     together = play(make_env(20, NOISY), seeds)
@@ -242,7 +243,7 @@ def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
         assert torch.equal(play(make_env(1, NOISY), [seeds[number]])[0], together[number])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_instances_may_differ_and_be_drawn_anew():
     instances = [generate(SMALL, seed) for seed in (0, 1, 2)]
     env = BatchedOptionsEnv(12, instance=instances, resample_instance=True)

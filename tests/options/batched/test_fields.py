@@ -17,7 +17,7 @@ UNREACHABLE = 10_000.0
 CLUTTERED = dataclasses.replace(SMALL, obstacles=ObstaclesConfig(count=3, size_max=0.8))
 
 
-@pytest.mark.in_turn_for("cluttered", "door")
+@pytest.mark.nightly_for("cluttered", "door")
 @pytest.mark.parametrize("config", [SMALL, CLUTTERED, WITH_DOOR], ids=["small", "cluttered", "door"])
 def test_every_cost_is_one_more_than_the_best_that_a_primitive_leads_to(config):
     instance = generate(config, 1)

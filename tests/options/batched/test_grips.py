@@ -66,12 +66,12 @@ def is_grip(goal):
     return isinstance(goal, GripGoal)
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "whole-towers", "whole-towers by hand", "with ancestors-towers", "with ancestors-towers by hand",
     "with ancestors-two and three blocks", "worse-taxi", "worse-foraging", "worse-towers", "worse-towers by hand",
     "worse-two and three blocks", "interrupted-towers", "interrupted-towers by hand",
     "interrupted-two and three blocks", "whole-taxi", "with ancestors-taxi", "with ancestors-foraging",
-    "interrupted-taxi", "interrupted-foraging")
+    "interrupted-taxi", "interrupted-foraging", "whole-two and three blocks")
 @pytest.mark.parametrize("name", ROOMS)
 @pytest.mark.parametrize("arguments", [
     {}, {"option_set": "press-with-ancestors"}, {"options": OptionDegradation(detour=3, missing=0.3, seed=1)},
@@ -107,6 +107,7 @@ def test_each_room_does_what_options_env_does(name, arguments):
     assert abs(taken - planned) <= (0.08 if "hand" in name else 0.05 if "option_set" in arguments else 0.01) * planned
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("option_set", ["press", "press-with-ancestors"])
 def test_what_is_gripped_behind_shut_doors_waits_for_its_ancestors(option_set, request):
     """A puzzle with presses, grips and doors between rooms, which is none of the package's."""
@@ -159,7 +160,7 @@ def test_acts_are_possible_and_done_where_the_planner_says_so(name):
     assert len(aims.can[0]) == len({len(room.targets) for room in rooms}), "towers of as many blocks share a table"
 
 
-@pytest.mark.in_turn_for("towers by hand-False", "foraging-False", "towers-False")
+@pytest.mark.nightly_for("towers by hand-False", "foraging-False", "towers-False", "two and three blocks-False")
 @pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROOMS)
 def test_the_planners_order_of_grips_and_releases_escapes(name, compiled):
@@ -186,6 +187,7 @@ def test_the_planners_order_of_grips_and_releases_escapes(name, compiled):
     assert has_escaped.all()
 
 
+@pytest.mark.nightly
 def test_a_slip_while_gripping_is_gripped_again():
     config = get_preset("taxi")
     room = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, slip=0.5)), 0)
@@ -204,7 +206,7 @@ def test_a_slip_while_gripping_is_gripped_again():
     assert made > 100
 
 
-@pytest.mark.in_turn_for("config1-more than 20,000 states")
+@pytest.mark.nightly_for("config1-more than 20,000 states")
 @pytest.mark.parametrize(("config", "message"), [
     (get_preset("taxi", fickle=True), "they watch every primitive"),
     (get_preset("blocks-world", count=12), "more than 20,000 states"),

@@ -32,7 +32,8 @@ def make_env(count=1, config=ARM, seed=0, **more):
     return begin(BatchedOptionsEnv(count, instance=generate(config, seed), include_primitives=False, **more))
 
 
-@pytest.mark.in_turn_for("noise")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("noise")
 @pytest.mark.parametrize(("config", "decisions", "most"), [
     (ARM, 20, 0.06), pytest.param(CLUTTERED, 10, 0.08, marks=pytest.mark.slow),
     pytest.param(SEVEN, 10, 0.12, marks=pytest.mark.slow), (NOISY, 10, 0.08)], ids=["arm", "clutter", "seven", "noise"])
@@ -43,6 +44,7 @@ def test_what_options_env_presses_by_hand_is_pressed_in_about_as_many_primitives
     assert found.planned > 100 and -0.02 < found.more < most
 
 
+@pytest.mark.nightly
 def test_rooms_pressed_by_hand_go_on_without_the_planner():
     env = make_env(16)
     generator, pressed = torch.Generator().manual_seed(0), 0
@@ -53,7 +55,7 @@ def test_rooms_pressed_by_hand_go_on_without_the_planner():
     assert env._host_planner._planners == {}, "no planner was ever asked"
 
 
-@pytest.mark.in_turn_for("seven")
+@pytest.mark.nightly_for("seven")
 @pytest.mark.parametrize(("config", "least"), [(ARM, 5), (SEVEN, 1)], ids=["arm", "seven"])
 def test_every_press_by_hand_is_one_that_the_exact_rules_of_the_room_make(config, least):
     """Each state is reached from the one before by one primitive of the scalar rules, with the same presses."""
@@ -79,7 +81,7 @@ def test_every_press_by_hand_is_one_that_the_exact_rules_of_the_room_make(config
     assert presses >= 10 and joint_steps >= least
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_hand_presses_from_any_posture_and_any_pose():
     env = make_env(12, dataclasses.replace(ARM, start=dataclasses.replace(ARM.start, choices=8)), seed=3)
     rng, rules = np.random.default_rng(0), Kinematics(env.room.instances[0])
@@ -118,7 +120,7 @@ def test_a_target_that_no_hand_reaches_costs_one_primitive(noise):
     assert (after.x, after.y) == (before.x, before.y) and after.heading_steps != before.heading_steps
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_hand_sets_out_for_the_postures_from_which_least_is_left_and_keeps_them_while_it_gets_nearer():
     """The four least over all postures, by the arrays of the fields, cell by cell."""
     env = make_env(6, CLUTTERED)
@@ -163,7 +165,7 @@ def compute_left(fields, instance, state, target, number):
 # --- kinds of options ------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_interrupted_press_by_hand_takes_the_primitives_of_one_that_is_not():
     whole, cut = make_env(), make_env(interruptible=True)
     for choice in (1, 0, 1):
@@ -177,7 +179,7 @@ def test_an_interrupted_press_by_hand_takes_the_primitives_of_one_that_is_not():
         assert cut.room.get_room_state(0) == whole.room.get_room_state(0)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_ancestors_by_hand_are_pressed_first():
     env = make_env(option_set="press-with-ancestors")
     orders, state = get_planner(env.room.instances[0]).orders, env.room.get_room_state(0)
@@ -187,7 +189,7 @@ def test_ancestors_by_hand_are_pressed_first():
     assert ENDINGS[done.ended] == "reached"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_options_by_hand_fail_and_dawdle_where_asked():
     env = make_env(8, options=OptionDegradation(failure=0.5, detour=2, seed=3))
     endings = [ENDINGS[done] for _ in range(40) for found in [env.step(torch.zeros(8, dtype=torch.int64))]
@@ -198,7 +200,7 @@ def test_options_by_hand_fail_and_dawdle_where_asked():
 # --- rooms do not know of each other, and go on from a checkpoint -----------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_room_pressed_by_hand_meets_the_same_fate_alone_and_in_any_batch():
     instance = generate(NOISY, 1)
     together = play(BatchedOptionsEnv(6, instance=instance), list(range(6)), 40)
@@ -223,7 +225,7 @@ def test_compiled_presses_by_hand_do_what_eager_ones_do():
     assert apart <= 5, f"{apart} of 480 steps"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_rooms_pressed_by_hand_go_on_where_they_were_written_down():
     env, other = make_env(4, NOISY), make_env(4, NOISY)
     for number in range(12):

@@ -30,7 +30,8 @@ KINDS = {"strafing": (SMALL, 0.05), "by half metres": (NARROW, 0.03),
 UNREACHABLE = 10_000.0
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly
+@pytest.mark.nightly_for(
     "strafing", "by half metres", "whole moves", "turns of 30 degrees", "differential", "by hand", "door")
 @pytest.mark.parametrize("kind", KINDS)
 def test_options_reach_what_options_env_reaches_in_about_as_many_primitives(kind):
@@ -53,6 +54,7 @@ def test_a_corridor_in_which_it_cannot_turn_has_ways_at_one_heading_only():
     assert list_headings(1.6) == list(range(18))
 
 
+@pytest.mark.nightly_for("differential")
 @pytest.mark.parametrize("kind", ["strafing", "differential"])
 def test_every_cost_is_one_more_than_the_best_that_a_primitive_leads_to(kind):
     """Bellman's equation by `Kinematics.step`, at cells whose representative place is their centre."""

@@ -23,14 +23,15 @@ from hrl_escape.planning.scene import Scene
 # --- inverse kinematics ------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("franka-panda")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("franka-panda")
 @pytest.mark.parametrize("kind", ["franka-panda", "kuka-iiwa"])
 def test_poses_are_solved_at_least_as_often_as_by_other_solvers(kind):
     ours, example, _, scipys = compare_solvers(kind, 20, 10)
     assert ours >= 0.9 and ours >= example and ours >= scipys - 0.1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_all_branches_are_those_of_the_closed_form():
     """Yaw, then two pitching links: for a reachable point the elbow is up or down."""
     planner, state = make_planner("arm", 3)
@@ -79,6 +80,7 @@ def test_what_is_out_of_reach_or_no_target_is_said():
         ArmPlanner(generate(get_preset("clutter"), 0))
 
 
+@pytest.mark.nightly
 def test_a_reachability_map_agrees_with_inverse_kinematics(tmp_path):
     planner, state = make_planner("arm", 3)
     point = (0.5, -0.5, 0.8)
@@ -114,7 +116,7 @@ def test_a_posture_is_free_only_if_the_hand_is_above_the_floor(joints):
     assert sunk >= 20
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_motion_goes_over_the_floor_and_not_through_it():
     planner, state = make_planner("arm", 4)
     low, high = planner._limits
@@ -128,6 +130,7 @@ def test_a_motion_goes_over_the_floor_and_not_through_it():
         assert min(heights) > radius
 
 
+@pytest.mark.nightly
 def test_motions_in_clutter_are_free_by_bullet_at_ten_times_the_resolution():
     planned, bent = check_motions("arm", 3, 4)
     assert planned >= 3 and bent >= 1
@@ -202,7 +205,7 @@ def test_an_srdf_says_which_links_may_touch_and_names_postures(tmp_path):
             ArmPlanner(room, srdf=wrong)
 
 
-@pytest.mark.in_turn_for("franka-panda-7", "kuka-iiwa-7")
+@pytest.mark.nightly_for("franka-panda-7", "kuka-iiwa-7")
 @pytest.mark.parametrize(("kind", "joints"), [("franka-panda", 7), ("kuka-iiwa", 7), ("arm", 3)])
 def test_an_srdf_that_is_made_reads_back_as_the_same_arm(kind, joints):
     planner, state = make_planner(kind, joints)
@@ -268,7 +271,7 @@ def test_a_joint_may_be_named_as_its_link():
     assert planner.plan(state, (0.5,)).points[-1] == pytest.approx(0.5)
 
 
-@pytest.mark.in_turn_for("400-0.0")
+@pytest.mark.nightly_for("400-0.0", "400-0.05")
 @pytest.mark.parametrize(("solids", "margin"), [(FEW_SOLIDS, 0.0), (400, 0.0), (400, 0.05)])
 def test_among_many_solids_the_near_ones_are_tested_and_the_answer_is_that_of_all(solids, margin):
     """Against a list of what meets, which always looks at all; tiles that were dropped are made anew."""

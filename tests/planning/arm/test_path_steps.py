@@ -59,6 +59,7 @@ def press_in_bullet(planner: RoomPlanner, primitives: Sequence[int]):
     return state
 
 
+@pytest.mark.nightly
 def test_an_arm_among_posts_presses_by_joint_steps_along_a_path_under_physics():
     planner = RoomPlanner(make_pen())
     start, reacher = planner.rules.make_state(planner.instance.starts[0]), planner.routes.get_reacher()

@@ -164,7 +164,7 @@ def test_inverse_kinematics_finds_the_points_that_a_hand_was_at():
 # --- single configurations -------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("franka-panda", "7 joints", "kuka-iiwa", "6 joints")
+@pytest.mark.nightly_for("franka-panda", "7 joints", "kuka-iiwa", "6 joints")
 @pytest.mark.parametrize("name", ARMS)
 def test_configuration_has_the_fewest_joint_steps_of_the_whole_lattice(name: str):
     robot = ARMS[name]
@@ -196,7 +196,8 @@ def test_configuration_has_the_fewest_joint_steps_of_the_whole_lattice(name: str
     assert found >= 20 and none >= 1
 
 
-@pytest.mark.in_turn_for("franka-panda")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("franka-panda")
 @pytest.mark.parametrize("robot", [
     RobotConfig(joints=7, body_radius=0.4, body_height=0.8, link_length=0.3),
     pytest.param(RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5), marks=pytest.mark.slow),
@@ -229,7 +230,7 @@ def test_no_configuration_within_four_steps_of_a_redundant_arm_is_missed(robot: 
     assert near >= 8
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_configuration_that_touches_the_target_alone_goes_first():
     apart = make_room(z=1.1, half_x=0.3, other={"x": 4.0})
     beside = make_room(z=1.1, half_x=0.3, other={"x": 0.1, "y": -5.95, "z": 1.1, "yaw": 0.0, "half_x": 0.15})
@@ -317,7 +318,7 @@ def test_table_outside_its_grid_and_centres():
         assert [table.get_cost(*centres[i, j], h) for h in range(36)] == table.costs[i, j].tolist()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_small_budget_says_how_far_it_is_complete():
     reacher = Reacher(make_room(RobotConfig(joints=7, body_radius=0.4, body_height=0.8, link_length=0.3), z=1.1))
     home = (0,) * 7
@@ -329,6 +330,7 @@ def test_small_budget_says_how_far_it_is_complete():
     assert (some.costs >= 0).sum() < (every.costs >= 0).sum()
 
 
+@pytest.mark.nightly
 def test_fine_joint_steps_that_no_list_can_hold_are_still_reached():
     robot = RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5, joint_step_deg=1.0)
     built, rng = make_robot(robot), np.random.default_rng(8)
@@ -347,7 +349,7 @@ def test_fine_joint_steps_that_no_list_can_hold_are_still_reached():
 # --- certified targets -----------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("1-arm, 7 joints", "1-arm, 6 joints")
+@pytest.mark.nightly_for("1-arm, 7 joints", "1-arm, 6 joints")
 @pytest.mark.parametrize("robot", [
     THREE, dataclasses.replace(THREE, joints=4), dataclasses.replace(THREE, joints=6, link_length=0.3),
     dataclasses.replace(THREE, joints=7, link_length=0.3),
@@ -457,7 +459,7 @@ def can_order(room: RoomInstance, begin: RoomState, goal: tuple[int, ...]) -> bo
     return search(begin)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_joint_steps_are_ordered_round_other_targets_wherever_that_can_be():
     # the other button hangs below the first, so that the arm may sweep over it on its way
     room = make_room(z=1.5, half_x=0.15, half_z=0.1, x=0.0,
@@ -541,7 +543,7 @@ def test_moves_of_the_base_keep_their_order_among_the_joint_steps():
 # --- collisions ------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("kuka-iiwa")
+@pytest.mark.nightly_for("kuka-iiwa")
 @pytest.mark.parametrize("robot", [THREE, RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.3, body_height=0.5)],
                          ids=["3 joints", "kuka-iiwa"])
 def test_arms_collide_with_solids_as_in_bullet(robot: RobotConfig, tmp_path: Path):
@@ -603,7 +605,7 @@ def test_robot_meets_itself_and_is_clear_at_home():
     assert not reacher.is_collision_free(0.0, 0.0, 0.0, folded)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_physics_takes_the_fewest_joint_steps_that_are_clear_of_obstacles():
     post = Solid(shape="box", x=0.35, y=-5.0, half_x=0.05, half_y=0.05, height=3.0)
     robot = dataclasses.replace(THREE, joints=5, link_length=0.35, joint_step_deg=20.0)

@@ -74,7 +74,7 @@ def drive_round(room: RoomInstance) -> list[tuple[TimedTrajectory, int, int]]:
     return found
 
 
-@pytest.mark.in_turn_for("clutter-0", "clutter-3", "paper-random-3")
+@pytest.mark.nightly_for("clutter-0", "clutter-3", "paper-random-3")
 @pytest.mark.parametrize(("name", "seed"), ROOMS)
 def test_every_way_presses_its_target_alone_sweeps_no_solid_and_never_goes_sideways(name, seed):
     room = make(name, seed)
@@ -90,7 +90,7 @@ def test_every_way_presses_its_target_alone_sweeps_no_solid_and_never_goes_sidew
         assert np.hypot(*strength[:, :2].T).max() <= 1.0 + 1e-6 and np.abs(strength[:, 2]).max() <= 3.0 + 1e-6
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_one_seed_gives_one_way_and_another_seed_another():
     room = make("clutter", 0)
     state = RoomPlanner(room).rules.make_state(room.starts[0])
@@ -125,6 +125,7 @@ def test_it_backs_out_of_a_passage_where_it_cannot_turn():
     assert np.ptp(places[places[:, 0] < 2.0, 2]) < 1e-9 and places[-1, 0] >= 5.8
 
 
+@pytest.mark.nightly
 def test_a_turn_is_free_where_the_base_meets_nothing_at_any_angle_of_it():
     collision, rng, seen = CollisionMap(make("clutter", 1), door_shut=True), np.random.default_rng(0), []
     while len(seen) < 100:

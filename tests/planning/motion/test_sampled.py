@@ -35,6 +35,7 @@ def make(config, seed: int = 0, **settings):
     return planner, MotionSampler(planner.instance, LIMITS, **settings), state
 
 
+@pytest.mark.nightly_for("ten-button, driving rectangle")
 @pytest.mark.parametrize("name", ["paper-two-button", "ten-button, driving rectangle", *(
     pytest.param(name, marks=pytest.mark.slow)
     for name in ("inner-doors", "clutter", "arm-two-button", "arm-four-joints", "clutter, differential",
@@ -74,7 +75,7 @@ def test_a_sampled_motion_is_tracked_to_the_press():
     assert tracking.pressed == (1,) and tracking.distance < 1e-6
 
 
-@pytest.mark.in_turn_for("blocks-world-0")
+@pytest.mark.nightly_for("blocks-world-0", "key-corridor-2", "sokoban-3")
 @pytest.mark.parametrize(("config", "seed"), [
     (get_preset("taxi"), 0), (blocks_world(hand=True), 0), (get_preset("key-corridor"), 2), (get_preset("sokoban"), 3),
     *(pytest.param(config, seed, marks=pytest.mark.slow) for seed in range(4, 10)
@@ -138,7 +139,7 @@ def test_a_target_that_is_touched_is_left_and_pressed_again_or_refused():
         sampler.plan(close, PressGoal(0))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_options_take_the_plan_of_primitives_where_nothing_is_sampled_or_where_they_are_told_to():
     rectangle, seconds = generate(make_gripping_config("paper-two-button, driving rectangle"), 0), {}
     start = RoomPlanner(rectangle).rules.make_state(rectangle.starts[0])

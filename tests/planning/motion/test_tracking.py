@@ -29,7 +29,7 @@ def run(name: str, seed: int, time_step: float = 0.1, **dynamics):
     return plan, trajectory, tracking
 
 
-@pytest.mark.in_turn_for("pin-pad-0.02", "arm-two-button-0.1", "lights-out, differential-0.1")
+@pytest.mark.nightly_for("pin-pad-0.02", "arm-two-button-0.1", "lights-out, differential-0.1")
 @pytest.mark.parametrize(("name", "time_step"), [("deep-sea", 0.1), ("pin-pad", 0.02), ("arm-two-button", 0.1),
                                                  ("lights-out, differential", 0.1)])
 def test_exact_rooms_are_escaped_on_the_trajectory(name, time_step):
@@ -39,6 +39,7 @@ def test_exact_rooms_are_escaped_on_the_trajectory(name, time_step):
     assert tracking.seconds <= trajectory.duration + 2 * time_step
 
 
+@pytest.mark.nightly_for("arm-two-button-dynamics1-0.05", "paper-two-button-dynamics0-0.5")
 @pytest.mark.parametrize(("name", "dynamics", "within"), [
     ("paper-two-button", {"kind": "physics"}, 0.5), ("arm-two-button", {"kind": "physics"}, 0.05),
     ("paper-two-button", {"noise": 0.1}, 0.05)])

@@ -54,7 +54,7 @@ def make_boom(effort: float, mass: float = 2.0) -> RobotConfig:
 # --- presses ---------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("potions-0", "arm-two-button-0")
+@pytest.mark.nightly_for("potions-0", "arm-two-button-0")
 @pytest.mark.parametrize(("name", "seed"), [
     ("potions", 0), pytest.param("pin-pad", 0, marks=pytest.mark.slow),
     pytest.param("deep-sea", 0, marks=pytest.mark.slow), ("arm-two-button", 0), ("lights-out, differential", 0)])
@@ -80,7 +80,7 @@ def test_faults_are_found():
     assert any("of a limit" in fault for fault in list_faults(plan, trajectory, MotionLimits(jerk=5.0)))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_way_goes_round_targets_that_its_plan_does_not_press():
     """The plan's own moves cross the corner of a pad between the ends of two primitives."""
     plan = make_plan("pin-pad", 0)
@@ -117,7 +117,7 @@ def test_under_physics_nothing_is_pressed_by_a_margin():
     assert [contact.target for contact in make_trajectory(plan).contacts] == [k for k, in list_presses(plan)]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_base_rests_after_each_press():
     trajectory = make_trajectory(make_plan("paper-two-button", 0))
     for contact in trajectory.contacts:
@@ -125,7 +125,7 @@ def test_the_base_rests_after_each_press():
         assert any(0.0 <= time - contact.time < 1.0 for time in slow)
 
 
-@pytest.mark.in_turn_for("blocks-world-6")
+@pytest.mark.nightly_for("blocks-world-6", "sokoban-3")
 @pytest.mark.parametrize(("preset", "seed"), [
     ("taxi", 0), ("blocks-world", 6), ("door-key", 2), ("sokoban", 3),
     *(pytest.param(preset, seed, marks=pytest.mark.slow) for seed in range(7, 15)
@@ -198,6 +198,7 @@ def test_rounded_corners_are_faster_and_some_limit_is_met():
         assert 0.99 < max(measure_peaks(fast, LIMITS).values())
 
 
+@pytest.mark.nightly
 def test_clearance_is_kept_where_there_is_a_way_with_it():
     plan = make_plan("clutter", 0)
     shapes = stack_footprints([solid.footprint for solid in plan.instance.solids])
@@ -236,7 +237,7 @@ def test_the_urdf_limits_speed_effort_and_position():
         make_trajectory(make_path([(0.0,), (1.2,)], robot.joint_names, robot=robot))
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_arms_have_the_limits_of_their_own_urdf():
     config = RoomConfig(room=ShapeConfig(width=8, depth=8), dynamics=DynamicsConfig(press_with="hand"),
                         robot=RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5))
@@ -253,6 +254,7 @@ def test_arms_have_the_limits_of_their_own_urdf():
 # --- files -----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_sampling_and_files_hold_the_same_motion(tmp_path):
     plan = make_plan("clutter", 3)
     trajectory = make_trajectory(plan)

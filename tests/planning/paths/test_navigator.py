@@ -70,7 +70,7 @@ def assert_is_path(navigator, result, start):
 # --- paths -----------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("SORRTstar", "InformedRRTstar")
+@pytest.mark.nightly_for("SORRTstar", "InformedRRTstar", "BFMT", "FMT", "BITstar")
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clutter, planner):
     start, rules = get_start(clutter), Kinematics(clutter.instance)
@@ -83,7 +83,7 @@ def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clu
         assert result.planner == planner and result.seconds > 0 and result.checker_calls > 0
 
 
-@pytest.mark.in_turn_for("BFMT", "BITstar")
+@pytest.mark.nightly_for("BFMT", "BITstar")
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_every_planner_keeps_the_contract(planner):
     check_path_planner(planner, queries=1)
@@ -149,7 +149,7 @@ def test_budget_and_time_stop_every_planner_and_leave_nothing_running(clutter, p
     assert clutter.plan(start, HIDDEN, planner).status == "exact"
 
 
-@pytest.mark.in_turn_for("BITstar", "InformedRRTstar", "SORRTstar")
+@pytest.mark.nightly_for("BITstar", "InformedRRTstar", "SORRTstar")
 @pytest.mark.parametrize("planner", ANYTIME)
 def test_an_anytime_planner_s_path_becomes_shorter_with_its_budget(clutter, planner):
     start = get_start(clutter)
@@ -206,7 +206,7 @@ for planner in sys.argv[1:]:
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_same_seed_gives_the_same_path_in_any_process(clutter):
     planners = [DEFAULT_PLANNER, "BITstar", "RRTstar", "KPIECE1", "FMT"]
     there = run_fork(SCRIPT, *planners, check=True).stdout.split()

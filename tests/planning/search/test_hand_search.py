@@ -142,7 +142,7 @@ def test_escapes_by_hand_with_two_buttons_are_within_a_percent_of_the_joint_opti
     assert thorough <= 1.01 * fewest and thorough <= jointly < by_legs
 
 
-@pytest.mark.in_turn_for("3")
+@pytest.mark.nightly_for("3")
 @pytest.mark.parametrize("seed", [3, 5])
 def test_joint_escapes_by_hand_come_true_and_are_no_longer_than_leg_after_leg(seed):
     planner = RoomPlanner(generate(get_preset("arm-two-button"), seed))
@@ -157,7 +157,7 @@ def test_joint_escapes_by_hand_come_true_and_are_no_longer_than_leg_after_leg(se
     env.close()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_arms_off_their_lattice_escape_leg_after_leg():
     planner = RoomPlanner(generate(get_preset("arm-two-button"), 3))
     start = planner.rules.make_state(planner.instance.starts[0])

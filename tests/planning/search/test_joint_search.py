@@ -84,7 +84,7 @@ def compare(counts, seeds) -> tuple[int, int, int]:
     return jointly, by_legs, fewest
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_escapes_are_within_a_percent_of_the_joint_optimum():
     jointly, by_legs, fewest = compare((2,), range(3))
     assert jointly <= 1.01 * fewest and jointly <= by_legs

@@ -85,7 +85,7 @@ def find_ratios(queries, method):
 FLOORS = {"empty": 1.03, "10 obstacles": 1.03, "40 obstacles": 1.05, "interior walls": 1.05}
 
 
-@pytest.mark.in_turn_for("interior walls-1.05")
+@pytest.mark.nightly_for("interior walls-1.05")
 @pytest.mark.parametrize(("floor", "most"), thin(list(FLOORS.items()), 2, first=1))
 def test_primitives_are_within_a_few_percent_of_the_near_exact_reference(floor, most):
     ratios = find_ratios(make_queries(floor, range(1), 8), "fields")
@@ -93,7 +93,7 @@ def test_primitives_are_within_a_few_percent_of_the_near_exact_reference(floor, 
     assert np.quantile(ratios, 0.95) <= 1.15
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_corridors_reach_every_goal_a_little_longer():
     queries = [q for floor in (*FLOORS, "narrow passages") for q in make_queries(floor, range(1), 3)]
     assert np.mean(find_ratios(queries, "corridor")) < 1.2
@@ -117,6 +117,7 @@ def count_fewest(rules, state, goal, most):
     return None
 
 
+@pytest.mark.nightly
 def test_short_plans_are_as_short_as_exhaustive_search_finds():
     search = PrimitiveSearch(make_room(Solid(x=1.2, y=2.5, half_x=0.7, half_y=0.3, yaw=0.4)))
     rng = np.random.default_rng(0)
@@ -153,7 +154,7 @@ def test_the_published_room_costs_no_more_than_the_published_code_needs():
     assert len(exit_.primitives) <= 15
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_thin_button_is_reached_by_running_into_the_wall():
     config = RoomConfig(robot=RobotConfig(body_radius=0.5), dynamics=DynamicsConfig(press_margin=0.002),
                         puzzle=ButtonsConfig(count=3, buttons=Panels(width=0.3, thickness=0.005)))
@@ -182,7 +183,7 @@ ODD = {
 }
 
 
-@pytest.mark.in_turn_for("200 m", "0.1 m")
+@pytest.mark.nightly_for("200 m", "0.1 m")
 @pytest.mark.parametrize("name", ODD)
 def test_every_button_of_odd_rooms_is_reached(name):
     search = PrimitiveSearch(generate(ODD[name], 1))
@@ -258,7 +259,7 @@ def test_other_buttons_are_not_touched_on_the_way():
     assert not any(state.touching & 2 for state in careful.states)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_cannot_be_avoided_is_done_and_said():
     # button-2 spans the only way to button-1
     walls = (Solid(x=-3.1, y=1, half_x=1.9, half_y=0.1), Solid(x=3.1, y=1, half_x=1.9, half_y=0.1))
@@ -307,7 +308,7 @@ def test_base_and_arm_together_press_by_hand(seed):
         state = result.states[-1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_presses_by_hand_are_near_the_fewest_of_a_search_over_base_and_arm():
     room = generate(get_preset("arm-two-button"), 0)
     search = PrimitiveSearch(room)
@@ -382,7 +383,7 @@ def test_a_tiny_pose_that_primitives_do_not_hit_is_unreachable_at_this_resolutio
     assert search.search(begin(search), goal).status is PlanningReason.UNREACHABLE_AT_RESOLUTION
 
 
-@pytest.mark.in_turn_for("1.01-0.0-4", "1.002-0.0-0", "1.002-0.13-0")
+@pytest.mark.nightly_for("1.01-0.0-4", "1.002-0.0-0", "1.002-0.13-0")
 @pytest.mark.parametrize(("gap", "shift", "grids"), [(1.06, 0.0, 1), (1.04, 0.0, 2), (1.02, 0.0, 3), (1.01, 0.0, 4),
                                                      (1.002, 0.0, 0), (1.01, 0.13, 3), (1.002, 0.13, 0)])
 def test_a_gap_that_only_a_fine_grid_shows_is_gone_through_and_a_narrower_one_is_not(gap, shift, grids):
@@ -411,7 +412,7 @@ def test_a_pocket_behind_too_narrow_a_gap_takes_no_fine_grid_s_links_from_either
     assert {refinement for (_, refinement), maker in search._makers.items() if maker._known_links} == {0}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_heading_that_no_turn_leads_to_takes_no_fine_grid_s_links():
     search = PrimitiveSearch(generate(get_preset("clutter"), 0))
     goal = PoseGoal(0.0, 0.0, search.kinematics.turn_step / 2, 10.0, 0.01)
@@ -494,7 +495,7 @@ for name in ("clutter", "arm-two-button"):
 """
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_plans_are_the_same_in_every_process_and_in_any_order():
     outputs = {run_fork(SCRIPT, check=True).stdout, run_here(SCRIPT)}
     assert len(outputs) == 1

@@ -118,7 +118,7 @@ def find_shortest(operators, facts, goal):
     return None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 @given(st.lists(st.tuples(SOME, SOME, SOME, SOME), min_size=1, max_size=7), SOME, SOME)
 @settings(max_examples=100)
 def test_without_irrelevant_operators_every_goal_is_as_near_as_with_them(sets, goal, facts):

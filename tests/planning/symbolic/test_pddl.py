@@ -35,7 +35,8 @@ def solve(instance, state=None, engine="fast-downward"):
     return [operators[action.action.name] for action in plan.actions]
 
 
-@pytest.mark.in_turn_for("paper-one-button", "twenty-button", "random-lights", "foraging")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("paper-one-button", "twenty-button", "random-lights", "foraging")
 @pytest.mark.parametrize("name", thin(list(PRESETS), 8))
 def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
     instance = generate(get_preset(name), 0)
@@ -47,7 +48,7 @@ def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
     assert model.goal <= facts
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_fewest_operators_are_as_many_as_our_own_search_uses():
     instance = generate(get_preset("ten-button"), 3)
     planner = RoomPlanner(instance)
@@ -55,7 +56,7 @@ def test_the_fewest_operators_are_as_many_as_our_own_search_uses():
     assert len(solve(instance, engine="fast-downward-opt")) == len(ours) - 1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_problem_begins_where_the_state_is():
     instance = generate(make_ordered_chain(), 0)
     state = Kinematics(instance).make_state(instance.starts[0])._replace(puzzle=0b0011)
@@ -81,7 +82,7 @@ def test_the_text_is_what_planners_read():
     assert "(:init (on button-1))" in make_problem(model, frozenset({"on(button-1)"}))
 
 
-@pytest.mark.in_turn_for("5.0-fast-downward-opt")
+@pytest.mark.nightly_for("5.0-fast-downward-opt")
 @pytest.mark.parametrize(("dear", "engine"), [(None, "fast-downward"), (5.0, "fast-downward-opt")])
 def test_conditional_effects_and_costs_are_read_and_heeded_by_an_independent_planner(
         dear, engine, monkeypatch, nothing_kept):
@@ -128,7 +129,7 @@ def test_a_missing_extra_is_named(monkeypatch):
         solve(generate(get_preset("paper-two-button"), 0))
 
 
-@pytest.mark.in_turn_for("up_grounder")
+@pytest.mark.nightly_for("up_grounder")
 @pytest.mark.parametrize("engine", ["no-such-planner", "up_grounder", "sequential_simulator"])
 def test_an_engine_that_is_no_planner_is_refused_by_name(engine):
     with pytest.raises(UnknownNameError, match="fast-downward"):

@@ -93,7 +93,7 @@ def game(server: Server, two_buttons):
     assert not thread.is_alive()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_ten_clients_come_and_go_and_nothing_of_them_stays(server: Server, game: PlayPage):
     come_and_go(server, game, rounds=3)
     before = count_left(server, game)
@@ -163,7 +163,7 @@ def test_a_hidden_graph_is_shown_at_the_escape_and_not_when_the_exit_opens(serve
     assert page._graph.content == make_graph(puzzle, plan.states[-1].puzzle, WIDTH)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_client_that_goes_while_everything_is_busy_leaves_no_buttons(server: Server, game: PlayPage):
     """Buttons of a client that had gone before they were made stood in the page's folder for ever, and it with them."""
     free = threading.Event()

@@ -74,7 +74,7 @@ def open_and_wait(browser: Browser, url: str, ready: str) -> Page:
     return page
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_recorded_page_of_hostile_names_runs_nothing(recording: EpisodeRecording, browser: Browser, tmp_path: Path):
     for number, name in enumerate(HOSTILE):
         at = dataclasses.replace(recording, driver=name,
@@ -150,7 +150,7 @@ def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: S
         thread.join(600)
 
 
-@pytest.mark.in_turn_for(
+@pytest.mark.nightly_for(
     "<img src=x onerror=window.__pwned=1>", "{{ data }}", "<!--<script>", '"\' onload=window.__pwned=3 x=\'',
     "</title><script>window.__pwned=4</script>")
 @pytest.mark.parametrize("name", HOSTILE[:-1])
@@ -164,7 +164,7 @@ def test_a_map_of_hostile_names_is_a_picture_without_scripts(hostile: RoomInstan
     assert make_map_image(instance).any()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_map_opened_in_a_browser_runs_nothing(hostile: RoomInstance, browser: Browser, tmp_path: Path):
     save_map(tmp_path / "map.svg", hostile)
     page = open_and_wait(browser, (tmp_path / "map.svg").as_uri(), "!!document.querySelector('svg')")

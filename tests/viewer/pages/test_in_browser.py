@@ -207,7 +207,7 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
 # --- recordings --------------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_recorded_page_opens_from_disk_without_a_network_and_plays_to_the_end(one_button, browser, tmp_path: Path):
     recording = record_driver(open_driver("oracle", one_button))
     save_replay(tmp_path / "escape.html", recording)

@@ -53,7 +53,7 @@ def test_a_saved_episode_is_recorded_as_it_was_played(two_buttons, tmp_path: Pat
     assert list(recording.states) == episode.states and recording.end == "stopped"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):
     page = make_replay(record_driver(open_driver("oracle", two_buttons)))
     assert page.count("</body>") == 1
@@ -62,7 +62,7 @@ def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):
     assert data["end"] == "escaped" and data["returns"][0] == "0" and len(data["graph"]) == len(data["returns"])
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_page_lets_its_own_scripts_run_and_asks_nobody(two_buttons):
     page = make_replay(record_driver(open_driver("oracle", two_buttons)))
     assert page == make_replay(record_driver(open_driver("oracle", two_buttons))), "its nonce is no random number"
@@ -76,7 +76,7 @@ def test_a_page_lets_its_own_scripts_run_and_asks_nobody(two_buttons):
     assert f"'sha256-{base64.b64encode(hashlib.sha256(ours.encode()).digest()).decode()}'" in rules["script-src"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_command_writes_page_and_animation(tmp_path: Path, capfd):
     outs = [str(tmp_path / name) for name in ("a.html", "a.gif")]
     assert main(["record", "--room", "paper-one-button", "--out", *outs]) == 0
@@ -105,7 +105,7 @@ def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons)
     assert maps and all(message["hdri_data"] is None for message in maps)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_escape_is_told_beside_the_best_known_and_celebrated(two_buttons):
     recording = record_driver(open_driver("oracle", two_buttons))
     page = make_replay(recording)

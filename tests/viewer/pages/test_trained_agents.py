@@ -14,7 +14,7 @@ from tests.viewer.browser import Browser
 FACTS = "document.querySelector('#facts')?.dataset"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_watch_shows_the_trained_agent_of_a_rung_at_once(browser: Browser):
     command = [sys.executable, "-c", "from hrl_escape.cli import main; main()", "watch", "lattice", "--no-open",
                "--port", "0", "--pace", "0"]

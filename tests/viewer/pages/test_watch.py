@@ -17,7 +17,7 @@ from hrl_escape.viewer.watch.watch import Gate, Watch
 from tests.viewer.pages.test_clients import wait_until
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch):
     view = WatchPage(server, Watch(open_driver("oracle", two_buttons), Gate(None)))
     behind: list[Any] = []
@@ -34,7 +34,7 @@ def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch
     assert not behind, f"the panel was ahead of the scene after {behind} states"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_path_of_a_rectangular_base_begins_at_its_heading(server: Server, monkeypatch):
     """Along a wall that leaves no room for the base across."""
     preset = get_preset("paper-one-button")

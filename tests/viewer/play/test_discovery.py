@@ -35,6 +35,7 @@ def press_in_every_state(episode: Episode, check: Callable[[], None], seen: set)
             episode.undo()
 
 
+@pytest.mark.nightly_for("1-puzzle1", "2-puzzle1", "2-puzzle0", "1-puzzle0")
 @pytest.mark.parametrize("puzzle", [{}, {"on_violation": "reset"}])
 @pytest.mark.parametrize("seed", range(3))
 def test_edges_that_are_proved_are_true_and_true_ones_stay_possible(seed: int, puzzle: dict):

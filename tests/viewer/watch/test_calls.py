@@ -88,7 +88,7 @@ def test_an_agent_that_learns_with_a_hierarchy_shows_its_calls(agent, two_button
     check_calls(seen[:30], [-1.0] * 30, most=4)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_an_agent_without_a_stack_shows_no_calls(two_buttons, run):
     watch = Watch(open_driver(str(run), two_buttons), Gate(None))
     assert all(calls == () for _, calls in watch_calls(watch))

@@ -12,7 +12,7 @@ from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.watch import Gate, Watch
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_buttons):
     gate = Gate(None, paused=True)
     watch = Watch(open_driver("oracle", two_buttons), gate)
@@ -68,7 +68,7 @@ def wait_until(condition: Callable[[], bool], seconds: float = 600.0) -> None:
         time.sleep(0.01)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_stopping_frees_a_driver_that_waits(two_buttons):
     gate = Gate(None, paused=True)
     thread = threading.Thread(target=Watch(open_driver("smdp-dqn", two_buttons), gate).run, daemon=True)

@@ -31,7 +31,7 @@ def watch_steps(watch: Watch, episodes: int = 1) -> tuple[list[ObservedChoice], 
     return choices, steps
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_values_shown_are_the_agents_own_at_every_decision(run: Path, two_buttons):
     env = OptionsEnv(EscapeRoomEnv(instance=two_buttons, observation="features"))
     agent = load_agent(run, env)
@@ -143,7 +143,7 @@ def test_a_plan_shown_is_what_the_option_then_does(clutter):
         assert [s[:7] for s in plan.states] == [s[:7] for s in states]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_preview_does_not_disturb_the_option_that_runs(clutter):
     plain, asked = (Watch(open_driver("oracle", clutter), Gate(None)) for _ in range(2))
     _, expected = watch_steps(plain)

@@ -86,7 +86,7 @@ def test_q_iteration_on_all_outcomes_of_a_deterministic_smdp_is_optimal(seed):
         np.testing.assert_allclose(agent.compute_values(state)[legal], exact[state][legal], atol=1e-9)
 
 
-@pytest.mark.in_turn_for("2", "0")
+@pytest.mark.nightly_for("2", "0")
 @pytest.mark.parametrize("seed", range(3))
 def test_iql_is_sarsa_at_one_half_and_the_best_of_the_data_towards_one(seed):
     smdp = make_random_smdp(seed, states=5)
@@ -144,7 +144,7 @@ def test_a_clone_counts_and_sharsa_proposes_as_often_as_the_data_chose():
     np.testing.assert_allclose(drawn / 4_000, counts[0] / counts[0].sum(), atol=0.03)
 
 
-@pytest.mark.in_turn_for("IQL-settings1")
+@pytest.mark.nightly_for("IQL-settings1")
 @pytest.mark.parametrize(("kind", "settings"), [
     (FittedQ, {}), (IQL, {"expectile": 0.9}), (IQL, {"expectile": 0.5}), (CQL, {"alpha": 0.0})])
 def test_the_same_data_cut_at_other_boundaries_gives_the_same_values(kind, settings):
@@ -198,7 +198,7 @@ def count_fewest(covered, start):
     return int(dijkstra(csgraph_from_dense(costs, null_value=np.inf), indices=start)[end])
 
 
-@pytest.mark.in_turn_for("chain-3-rooms1")
+@pytest.mark.nightly_for("chain-3-rooms1")
 @pytest.mark.parametrize(("rung", "rooms"), [
     ("pair", slice(2)), ("chain-3", slice(1)), pytest.param("pair", slice(300), marks=pytest.mark.slow),
     pytest.param("chain-3", slice(60), marks=pytest.mark.slow)])

@@ -24,6 +24,7 @@ def list_names():
     return [name if get_agent_class(name).reads_both else f"smdp-{name}" for name in list_offline_agents()]
 
 
+@pytest.mark.nightly_for("hiql")
 @pytest.mark.parametrize("name", thin(list_names(), step=3, first=1))
 def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folder(name, tmp_path, monkeypatch):
     settings = SMALL.get(name.removeprefix("smdp-"), NETWORKS)
@@ -51,7 +52,7 @@ def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folde
                                   whole.agent.compute_preferences(observation))
 
 
-@pytest.mark.in_turn_for("smdp-sharsa", "smdp-behaviour-cloning")
+@pytest.mark.nightly_for("smdp-sharsa", "smdp-behaviour-cloning")
 @pytest.mark.parametrize("name", ["smdp-behaviour-cloning", "smdp-fitted-q", "smdp-cql", "smdp-iql", "smdp-sharsa"])
 def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder(name, tmp_path):
     data = load_data(make_recording(), observation="features", rooms="own")
@@ -63,7 +64,7 @@ def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder
                  ).evaluations == result.evaluations
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_clone_of_experts_escapes_where_the_clone_of_random_play_does_not():
     rates = {}
     for kind in ("expert", "play"):
@@ -133,6 +134,7 @@ def test_hiql_learns_what_is_left_of_an_option_at_each_of_its_primitives():
     assert rest.mask.shape == rest.next_mask.shape == (len(primitives.action), 9)
 
 
+@pytest.mark.nightly
 def test_hiql_predicts_the_end_of_an_option_from_within_it_where_it_is_asked_when_it_acts():
     """Experts of one room: a network that was taught at their decisions alone misses by 0.19 of the spread."""
     recording = make_recording("expert").select(0)

@@ -275,7 +275,8 @@ def test_in_evaluation_an_option_runs_until_it_ends():
 # --- Four Rooms ---------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("extra")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("extra")
 @pytest.mark.filterwarnings("ignore:.*collapsed")
 @pytest.mark.parametrize("slip", ["extra", "neighbour"])
 def test_four_rooms_are_walked_nearly_as_fast_as_can_be(slip):

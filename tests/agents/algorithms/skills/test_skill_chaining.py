@@ -41,7 +41,7 @@ def run_skill(agent, slot, cell):
     return cell, steps
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_every_option_arrives_in_its_target_from_wherever_it_may_begin(agent):
     made = [slot for slot, skill in enumerate(agent.skills) if skill is not None]
     assert len(made) >= 3 and made == list(range(len(made)))
@@ -55,7 +55,7 @@ def test_every_option_arrives_in_its_target_from_wherever_it_may_begin(agent):
             assert 0 < steps <= 8
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_chain_leads_from_the_start_to_the_goal(agent):
     cell, slots = START, []
     while cell != GOAL:
@@ -67,6 +67,7 @@ def test_the_chain_leads_from_the_start_to_the_goal(agent):
     assert len(slots) >= 3
 
 
+@pytest.mark.nightly
 def test_a_complete_chain_grows_no_further(agent):
     assert agent.discovery.targets[find_number(agent, START)] == sum(skill is not None for skill in agent.skills)
 

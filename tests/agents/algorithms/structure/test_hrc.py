@@ -119,7 +119,7 @@ def play(agent, env, decisions, seed):
     return sum(step.terminated for step in interact(agent, env, decisions, seed))
 
 
-@pytest.mark.in_turn_for("layered-reset", "tree-reset", "chain-reset", "tree-ignore", "chain-ignore")
+@pytest.mark.nightly_for("layered-reset", "tree-reset", "chain-reset", "tree-ignore", "chain-ignore")
 @pytest.mark.parametrize("rule", ["ignore", "reset"])
 @pytest.mark.parametrize("kind", ["chain", "tree", "layered"])
 def test_it_finds_the_way_out_and_the_edges_that_matter(kind, rule):
@@ -138,7 +138,7 @@ def count_parents(puzzle):
     return parents | {len(parents): [puzzle.goal]}
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_its_cost_lies_below_that_of_subgoals_tried_one_by_one():
     """Bits that were turned on in trying stay on, so that more than the chosen ones are."""
     spent, expected = [], []
@@ -215,7 +215,7 @@ def test_parents_are_the_smallest_set_on_in_successes_and_in_the_fewest_failures
     assert agent._find_parents(3) == [(0, 1)], "a failure by chance"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_actions_that_fail_are_tried_again():
     for seed in range(3):
         env = make_button_env("tree", 6, "ignore", seed, failure=0.2)

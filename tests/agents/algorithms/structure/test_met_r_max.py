@@ -58,7 +58,7 @@ def test_a_context_forecasts_from_its_third_visit_on():
         assert compared == (n >= 6), "of the seventh sample three of its kind are known"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_true_parents_are_dropped_no_more_often_than_said_and_wrong_ones_always():
     """Bits drawn at random, an action that works in 80 % of the cases where its parents are on."""
     dropped, first, trials, wrong = 0, 0, 20, 0
@@ -108,7 +108,7 @@ def test_samples_before_the_first_effect_count():
 # --- the agent ----------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn_for("0.2")
+@pytest.mark.nightly_for("0.2")
 @pytest.mark.parametrize("failure", [0.0, 0.2])
 def test_it_finds_the_edges_that_matter_without_noise_and_where_actions_fail(failure):
     learned = learn_graph("met-r-max", 5, 2_000, 0, failure)

@@ -199,6 +199,7 @@ def test_a_set_that_explains_much_less_is_tried_no_further():
 # --- the agent ----------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("layered-reset-trees", "chain-ignore-trees", "tree-ignore-trees", "layered-reset-sets")
 @pytest.mark.parametrize("models", ["trees", "sets"])
 @pytest.mark.parametrize(("kind", "rule"), [("tree", "ignore"), ("layered", "reset"), ("chain", "ignore")])
 def test_it_finds_the_edges_that_matter_and_escapes(kind, rule, models):
@@ -209,7 +210,7 @@ def test_it_finds_the_edges_that_matter_and_escapes(kind, rule, models):
     assert models == "sets" or learned.returns[-1] > 0, "when nothing is left to find out it escapes"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_small_box_is_modelled_exactly_and_by_random_presses_it_is_not():
     agent = model_box(SMALL_BOX, 1_500, 0)
     assert agent.get_graph() == set(SMALL_BOX.edges)
@@ -297,7 +298,7 @@ def test_an_option_cannot_start_where_no_way_to_what_it_needs_is_known():
     assert agent.choose_towards(deepest, 0) is None
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_what_was_learned_goes_on_from_a_checkpoint_to_the_bit():
     env = Presses(SMALL_BOX)
     agent, other = (make_agent("vigorito-barto", env.observation_space, env.action_space, 0) for _ in range(2))

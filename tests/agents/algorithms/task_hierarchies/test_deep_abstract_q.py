@@ -24,7 +24,7 @@ def make(env, **settings):
                          PLACES.__getitem__)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_graph_that_it_finds_is_the_true_one_and_its_way_out_is_short():
     env = FourRooms(EAST_HALLWAY, "none", horizon=300)
     agent = make(env, visits=30, gamma=0.9, optimistic_value=1.0)
@@ -102,6 +102,6 @@ def test_unknown_steps_are_hoped_for_and_known_ones_weighed():
     assert agent.compute_step_values(room, 10.0)[west] == pytest.approx(3 + 0.5 * 10)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_it_keeps_the_contract_of_agents_with_networks_too():
     check_agent(DeepAbstractQ, DeepAbstractQ.Settings(patience=9, visits=2, most_states=5), decisions=100)

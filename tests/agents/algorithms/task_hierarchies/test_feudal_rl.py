@@ -107,19 +107,20 @@ def measure_errors(agent, side):
     return error
 
 
-@pytest.mark.in_turn_for("1-4-12")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("1-4-12")
 @pytest.mark.parametrize(("depth", "side", "sweeps"), [(2, 2, 5), (1, 4, 12)])
 def test_the_last_level_obeys_every_order_by_the_shortest_way(depth, side, sweeps):
     """Each primitive is cut right after, so it also sees a cut call that is taken for one that is over."""
     assert measure_errors(teach_last_level(make(depth), sweeps), side) < 1e-9
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_order_is_part_of_the_key():
     assert measure_errors(teach_last_level(make(2, agent_class=ForgetsTheOrder), 5), 2) > 0.1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_a_manager_over_an_obedient_one_learns_the_same_ways():
     """Its cells are single states here, each reached by one primitive, so its values are those of a last level."""
     agent = teach_last_level(make(3, patience=1), 2)
@@ -183,7 +184,7 @@ def test_a_manager_between_gives_up_an_order_even_where_a_policy_obeys_its_own()
     assert list(last.legal(start, 1).nonzero()[0]) == [1]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_cells_it_is_q_learning():
     env = FourRooms(0, "none", horizon=60)
     agent = FeudalRl(env.observation_space, env.action_space, 0, FeudalRl.Settings(**EXACT))
@@ -207,7 +208,7 @@ def measure_after_move(depth, seed, primitives=3_000):
     return lengths[np.array(ends[1:]) > primitives / 2].mean()
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_after_the_goal_moved_it_is_found_sooner_than_by_q_learning():
     feudal, flat = (np.mean([measure_after_move(depth, seed) for seed in range(1)]) for depth in (2, 0))
     assert feudal < 0.5 * flat, (feudal, flat)

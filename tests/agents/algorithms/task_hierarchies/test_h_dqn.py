@@ -116,7 +116,7 @@ def test_the_chain_is_solved_to_its_exact_optimum_where_the_visit_is_seen():
     assert min(values) > 5 * chance, values
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_tuned_q_learning_solves_the_chain_too_if_it_sees_the_visit():
     """The published gap is one of exploration and of what is seen, not of what can be represented."""
     env = Chain()
@@ -139,7 +139,7 @@ def test_patience_is_counted_in_primitives_in_evaluation_as_in_training():
     assert played == trained == {0, 2}
 
 
-@pytest.mark.in_turn_for("network")
+@pytest.mark.nightly_for("network")
 @pytest.mark.parametrize("values", ["table", "network"])
 def test_it_keeps_the_contract_of_agents(values):
     small = {"hidden": (8,), "batch_size": 8, "worker_warmup": 20, "patience": 7}

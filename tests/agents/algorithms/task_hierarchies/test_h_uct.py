@@ -66,7 +66,8 @@ def solve_chain(gamma):
     return find_recursive_optimum(Chain().make_tables(), root, gamma)
 
 
-@pytest.mark.in_turn_for("1.0")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("1.0")
 @pytest.mark.parametrize("gamma", [1.0, 0.9])
 def test_the_chain_is_planned_to_its_exact_value(gamma):
     agent = make(Chain(), make_chain_tasks(), gamma=gamma, simulations=2_000, return_range=1.0, exploration=0.2)
@@ -76,7 +77,7 @@ def test_the_chain_is_planned_to_its_exact_value(gamma):
     assert values.max() == pytest.approx(exact, abs=0.02)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_first_primitives_are_those_of_the_exact_solution():
     agent = make(Chain(), make_chain_tasks(), gamma=0.9, simulations=800, return_range=1.0, exploration=0.2)
     rng = np.random.default_rng(0)
@@ -162,7 +163,7 @@ def test_counts_are_kept_by_task_and_state():
     assert all(each.visits == each.counts.sum() for each in search.nodes.values())
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_a_simulator_it_explores_what_it_never_did_and_then_plans():
     env = GoalGrid(Grid(["    ", " ## ", "    "]), 0, 50)
     agent = make(env, simulator=False, gamma=0.9, optimistic_value=1.0, simulations=60, depth=20)

@@ -103,7 +103,7 @@ def test_four_rooms_is_left_from_everywhere_on_ways_within_a_fifth_of_the_shorte
         assert values.max() <= 0 and values.min() >= -5
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_three_levels_learn_too():
     env = FourRooms(EAST_HALLWAY, "none", horizon=200)
     agent = make(env, levels=3, attempts=3)

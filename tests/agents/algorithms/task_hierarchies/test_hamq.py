@@ -27,7 +27,7 @@ def make(env, program=None, agent_class=Hamq, **settings):
     return agent_class(env.observation_space, env.action_space, 0, Hamq.Settings(**EXACT | settings), program)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_program_that_leaves_all_open_is_q_learning():
     env = FourRooms(slip="none", horizon=60)
     agent = make(env)

@@ -78,7 +78,7 @@ def taught():
     return teach_everything(make(learning_rate=1.0), 40)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_kept_distances_become_exact(taught):
     number = [taught.number(cell) for cell in range(CELLS)]
     for cell in range(CELLS):
@@ -88,6 +88,7 @@ def test_kept_distances_become_exact(taught):
                 assert taught.distances[number[cell], number[goal]].min() == EXACT[cell, goal], (cell, goal)
 
 
+@pytest.mark.nightly
 def test_with_the_neighbour_rule_every_walk_arrives_and_is_nearly_shortest(taught):
     ratio, failures = measure_walks(taught)
     assert failures == 0 and ratio == pytest.approx(1.0108, abs=1e-4)
@@ -101,7 +102,7 @@ def test_the_next_landmark_of_the_paper_is_that_of_the_region_and_makes_detours(
     assert failures == 0 and ratio == pytest.approx(1.0739, abs=1e-4)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_the_neighbour_rule_walks_turn_back_for_ever(taught):
     agent = make(neighbours=False)
     agent.load_state_dict(taught.state_dict())
@@ -109,13 +110,13 @@ def test_without_the_neighbour_rule_walks_turn_back_for_ever(taught):
     assert failures > 0.1 * CELLS * (CELLS - 1)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_landmarks_every_distance_is_learned_and_every_walk_is_shortest():
     agent = teach_everything(make(Landmarks((0,), lambda cell: 0), learning_rate=1.0), 40)
     assert measure_walks(agent) == (1.0, 0)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_it_finds_goals_by_itself_where_episodes_terminate():
     env = FourRooms(HALLWAYS[2], "none", horizon=200)
     settings = Hdg.Settings(learning_rate=1.0, epsilon_start=1.0, epsilon_end=0.1, epsilon_steps=5_000)

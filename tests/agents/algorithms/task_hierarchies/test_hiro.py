@@ -41,6 +41,7 @@ def sum_by_hand(agent, window, goal):
     return total
 
 
+@pytest.mark.nightly
 def test_a_goal_is_as_likely_as_the_product_over_the_logged_way():
     agent = learn_something()
     for window in agent._replay[::20]:
@@ -117,6 +118,7 @@ def test_the_worker_of_an_oracle_goes_within_5_percent_of_the_shortest_way():
     assert shortest <= walked <= 1.05 * shortest
 
 
+@pytest.mark.nightly
 def test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_is_learned():
     """Learned within windows of 4: no pair that is farther, and nearly every pair that is not."""
     learned = learn_something(Hrac, 8_000, temperature=1e6, correction=False, batch_size=1)

@@ -134,7 +134,7 @@ def test_a_subgoal_counts_after_a_primitive_only(monkeypatch):
     assert agent._turn.agent == 1
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_two_agents_solve_the_maze_that_one_cannot():
     """Not every seed does: benchmarks/README.md counts them."""
     env = WindingMaze()

@@ -56,6 +56,7 @@ def walk_at_random(goal, past=False):
     return np.linalg.solve(np.eye(len(GRID)) - follow, prices)[cells].mean()
 
 
+@pytest.mark.nightly
 def test_random_walks_last_as_long_as_the_paper_s_room_makes_them():
     """Macros hurt where the goal is in the centre and help at the walls; ending inside a macro is worth most of all."""
     lengths = {goal: walk_at_random(goal) for goal in (CENTRE, EDGE, CORNER)}
@@ -121,7 +122,7 @@ def test_a_macro_whose_primitive_becomes_illegal_is_over_and_bootstraps():
     assert agent.compute_choice_values(0)[7] == pytest.approx(-1 + 0.9 * 10)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_macros_speed_up_learning_where_they_lead():
     """Greedy success after 600 primitives, over 5 seeds: with the goal in a corner macros help, in the centre not."""
 

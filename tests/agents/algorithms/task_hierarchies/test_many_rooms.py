@@ -77,7 +77,7 @@ def teach_many(agent, count, seed, primitives, longest=12):
     return train(agent, many, eval_env=make_env(seed), primitives=primitives, eval_episodes=0, seed=seed).agent
 
 
-@pytest.mark.in_turn_for("RMaxq-64", "MacroQ-64", "FeudalRl-64", "MaxqQ-64")
+@pytest.mark.nightly_for("RMaxq-64", "MacroQ-64", "FeudalRl-64", "MaxqQ-64")
 @pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.slow), 64])
 @pytest.mark.parametrize("agent_class", GIVEN)
 def test_values_of_choices_are_exact(agent_class, count):
@@ -90,7 +90,8 @@ def test_values_of_choices_are_exact(agent_class, count):
             assert READ[agent_class](agent, look(env, state))[legal] == pytest.approx(row[legal], abs=2e-6), state
 
 
-@pytest.mark.in_turn_for("1")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("1")
 @pytest.mark.parametrize("count", [1, 64])
 def test_ways_and_distances_to_goals_are_exact(count):
     env = make_env(0)
@@ -108,7 +109,7 @@ def test_ways_and_distances_to_goals_are_exact(count):
             assert hdg.distances[numbers[state], numbers[goal]][legal] == pytest.approx(lengths[state][legal])
 
 
-@pytest.mark.in_turn_for("stack-1", "stack-64")
+@pytest.mark.nightly_for("stack-1", "stack-64")
 @pytest.mark.parametrize(("name", "count"), [("r-maxq", 64), ("stack", 1), ("stack", 64)])
 def test_tasks_are_worth_what_they_earn_in_streams_that_each_have_their_own_calls(name, count):
     env = make_env(2, longest=40)
@@ -121,7 +122,7 @@ def test_tasks_are_worth_what_they_earn_in_streams_that_each_have_their_own_call
         assert found[legal] == pytest.approx(row[legal], abs=2e-6), state
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_one_stream_learns_what_one_environment_teaches():
     for name in list_hierarchy_agents():
         env, agents = make_env(1), []
@@ -161,7 +162,7 @@ def test_networks_of_two_levels_learn_as_often_from_every_decision_in_fewer_upda
     assert abs(sum(drawn["worker"]) - 4 * 0.5 * 400) <= 4 * 4 and drawn["manager"]
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_trials_are_those_of_each_stream():
     env = make_env(1)
     settings = {"gamma": GAMMA, "agents": 1, "learning_rate": 1.0, "trace": 0.0, "epsilon_start": 1.0,
@@ -188,7 +189,7 @@ OWNERS = ("maxq-q", "hamq", "hq-learning")
 """Agents that keep more of an episode than running calls."""
 
 
-@pytest.mark.in_turn_for("smdp-hq-learning")
+@pytest.mark.nightly_for("smdp-hq-learning", "smdp-maxq-q", "maxq-q", "smdp-hamq")
 @pytest.mark.parametrize("name", [
     *(pytest.param(name, marks=() if name == "maxq-q" else pytest.mark.slow) for name in list_hierarchy_agents()),
     *(f"smdp-{name}" for name in OWNERS)])

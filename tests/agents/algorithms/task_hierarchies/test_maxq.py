@@ -77,6 +77,7 @@ def measure_errors(agent, solution, graph):
     }
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("pseudo_rewards", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without(pseudo_rewards):
     """Starts anywhere, alpha 1: after enough walks every table holds what solving task by task gives.
@@ -200,7 +201,7 @@ def test_a_given_policy_that_was_cut_goes_on_with_what_is_known_of_the_rest():
     assert walk_to(agent, 2, truncated=True) == pytest.approx(before), "a cut is no end"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_a_hierarchy_it_is_q_learning():
     env = FourRooms(HOME, "none", horizon=60)
     agent = MaxqQ(env.observation_space, env.action_space, 0, MaxqQ.Settings(**EXACT))

@@ -51,6 +51,7 @@ def find_first_events(choose):
     return np.linalg.solve(np.eye(cells) - follow, events)
 
 
+@pytest.mark.nightly
 def test_successor_features_solve_their_equations_and_skills_take_the_shortest_way():
     agent = learn_room()
     for skill, button in enumerate(BUTTONS):
@@ -80,7 +81,8 @@ def test_a_chord_is_at_least_as_good_as_each_skill_everywhere(chord):
         assert (played.sum() > alone.sum(axis=0) + 0.5).all(), "any button: better than each skill of one"
 
 
-@pytest.mark.in_turn_for("0")
+@pytest.mark.nightly
+@pytest.mark.nightly_for("0")
 @pytest.mark.parametrize("seed", range(2))
 def test_options_of_several_primitives_discount_events_and_what_follows_by_their_length(seed):
     env = CutEnv(make_random_smdp(seed, states=4, actions=3, branches=1, longest=5), seed, 12)
@@ -98,7 +100,7 @@ def test_options_of_several_primitives_discount_events_and_what_follows_by_their
         assert found[legal] == pytest.approx(q[state, legal], abs=1e-9)
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_the_player_learns_the_worth_of_chords():
     """The first button ends the task; the second lies on the straight way to it."""
     env = GoalGrid(ROOM, BUTTONS[0], horizon=60)

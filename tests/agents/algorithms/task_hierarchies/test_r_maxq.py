@@ -88,7 +88,7 @@ def test_an_unknown_primitive_makes_its_callers_look_worth_the_optimum():
     assert home[after] == pytest.approx(0.9 * 7.0), "discounted on the way"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_without_a_hierarchy_it_is_r_max_and_comes_to_the_optimum():
     env = FourRooms(HOME, "none", horizon=100)
     agent = make(env)
@@ -129,7 +129,7 @@ def test_a_task_that_cannot_end_is_hopeless_not_an_error():
     assert agent.plan(agent.hierarchy.tasks["stay"]).model.rewards[0] < -1e6
 
 
-@pytest.mark.in_turn_for("noisy")
+@pytest.mark.nightly_for("noisy")
 @pytest.mark.parametrize(
     ("dynamics", "samples"),
     [({}, 1), ({"noisy": True}, 10), pytest.param({"fickle": True}, 10, marks=pytest.mark.slow),

@@ -120,7 +120,7 @@ def test_a_rollout_is_learned_from_at_the_probabilities_of_its_choices():
         choices.log_probability.numpy(), abs=1e-5), "in the first update every ratio is 1"
 
 
-@pytest.mark.in_turn
+@pytest.mark.nightly
 def test_each_option_learns_the_way_to_its_own_end():
     agent = make(learning_rate=1e-2)
     learn(agent, ROW, 2_500)
