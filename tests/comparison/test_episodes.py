@@ -10,7 +10,7 @@ import pytest
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents.making import make_agent
-from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder
 from hrl_escape.comparison.recording import record_episode
 from hrl_escape.comparison.runs import make_agent_env
@@ -131,7 +131,7 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
     """A chain of four: two are lit, then the last is pressed too early, and progress stays at a half."""
     room = generate(get_preset("four-button-chain"), 0)
     assert room.puzzle.goal_targets and len(room.targets) == 4
-    env, _ = make_agent_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
+    env, _ = make_agent_env(AgentSpec("random-options"), room, "features")
     env.reset(seed=0)
     parents = {child: parent for parent, child in room.puzzle.edges}
     order = [next(target for target in range(4) if target not in parents)]
@@ -145,7 +145,7 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
 def test_progress_in_a_board_that_must_go_dark_counts_lights_that_are_off():
     lights = LightsOutConfig(rows=4, columns=4, task=4)  # from 1001 in all rows to all off, by six presses
     room = generate(dataclasses.replace(get_preset("lights-out"), puzzle=lights), 0)
-    env, _ = make_agent_env(AgentSpec("random-options", options=OptionsView(include_primitives=False)), room, "features")
+    env, _ = make_agent_env(AgentSpec("random-options"), room, "features")
     assert env.reset(seed=0)[1]["progress"] == 0.5
     assert env.step(0)[4]["progress"] == 9 / 16, "two lights go off and one goes on"
     assert env.step(0)[4]["progress"] == 9 / 16, "back again, and the best so far counts"
