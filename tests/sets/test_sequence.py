@@ -230,9 +230,9 @@ def test_a_tower_is_made_again_from_its_description():
 
 
 def test_floors_have_the_same_spaces():
-    with pytest.raises(UnsupportedError, match="floor 1 has other spaces"):
+    with pytest.raises(UnsupportedError, match="room 1 of the sequence has other spaces"):
         SequenceEnv(ROOMS.make_env(observation="objects"), then=[TOP.make_env(observation="objects")])
-    with pytest.raises(ConfigError, match="floors above"):
+    with pytest.raises(ConfigError, match="where rooms follow"):
         SequenceEnv(ROOMS.make_env(), 2, [ROOMS.make_env()])
 
 
@@ -290,8 +290,8 @@ def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_not
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("marks-2/words/test#0..8 x 2", "whose marks have motifs"), ("marks-2/motifs/test#0..8 x 1", "two or more floors"),
-    ("marks-2/motifs/test#0..2 x 5", "as many rooms of a motif")])
+    ("marks-2/words/test#0..8 x 2", "its marks have motifs"), ("marks-2/motifs/test#0..8 x 1", "2 to 1,000 rooms"),
+    ("marks-2/motifs/test#0..2 x 5", "needs 5 rooms of one motif")])
 def test_sets_that_cannot_repeat_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         find_sets(text)
