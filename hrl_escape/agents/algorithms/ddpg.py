@@ -24,9 +24,8 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     measure_conduct,
 )
-from hrl_escape.agents.components.memory import Memory
 from hrl_escape.agents.components.networks import Learner, Network, compute_td_loss, make_generator, make_network
-from hrl_escape.agents.components.policy import GreedyPolicy
+from hrl_escape.agents.components.policy import GreedyPolicy, Memory
 from hrl_escape.agents.components.replay import Experience, ReplayAgent, UpdateSchedule
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.keras_rl_2019.keras_rl import LinearRelaxation

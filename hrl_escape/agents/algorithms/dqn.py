@@ -26,7 +26,6 @@ from hrl_escape.agents.agent import AgentSettings, GoalRule
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import compute_epsilon, compute_exploration, make_rng, measure_conduct
 from hrl_escape.agents.components.hindsight import Hindsight, HindsightReplay
-from hrl_escape.agents.components.memory import Memory
 from hrl_escape.agents.components.networks import (
     Learner,
     ObservationEncoder,
@@ -35,7 +34,7 @@ from hrl_escape.agents.components.networks import (
     make_action_network,
     make_generator,
 )
-from hrl_escape.agents.components.policy import GreedyPolicy
+from hrl_escape.agents.components.policy import GreedyPolicy, Memory
 from hrl_escape.agents.components.replay import Experience, ReplayAgent
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept

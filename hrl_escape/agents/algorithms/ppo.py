@@ -38,7 +38,7 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
-    find_next,
+    compute_next_values,
     take_column,
 )
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
@@ -192,10 +192,8 @@ class PPO(BatchAgent):
         with torch.no_grad():
             seen = memory.read(rollout.observation, rollout.memory)
             values = self.critic(seen).squeeze(1)
-            after, goes_on = find_next(rollout)
-            last = (~goes_on).nonzero().squeeze(1)  # no decision follows: the critic values the state reached
-            reached = memory.read(rollout.next_observation[last], memory.get_state(seen[last]))
-            next_values = values[after].index_copy(0, last, self.critic(reached).squeeze(1))
+            next_values = compute_next_values(rollout, values, lambda rows: self.critic(memory.read(
+                rollout.next_observation[rows], memory.get_state(seen[rows]))).squeeze(1))
             advantages = compute_advantages(rollout, values, next_values, settings)
             targets = advantages + values
         size = max(settings.batch_size, len(values) * settings.batch_size // settings.rollout)

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.algorithms.dqn import ActionValues
 from hrl_escape.agents.components.exploration import compute_epsilon, compute_exploration, measure_conduct
-from hrl_escape.agents.components.memory import Memory
-from hrl_escape.agents.components.policy import GreedyPolicy
+from hrl_escape.agents.components.policy import GreedyPolicy, Memory
 from hrl_escape.agents.components.replay import Experience, ReplayAgent
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.keras_rl_2019.keras_rl import LateTerminal

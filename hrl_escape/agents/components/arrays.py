@@ -6,7 +6,7 @@ twentieth of the time for a batch of one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -68,3 +68,9 @@ class Arrays(Stateful):
         """Return an array that a checkpoint holds."""
         array = np.array(saved)
         return array if self.library is np else torch.from_numpy(array).to(self.device)
+
+
+def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: int) -> Iterator[torch.Tensor]:
+    """Shuffle the units' numbers anew in each epoch and cut them into minibatches, int64 (at most `size`,) each."""
+    for _ in range(epochs):
+        yield from torch.from_numpy(rng.permutation(units)).split(size)

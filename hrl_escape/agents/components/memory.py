@@ -16,9 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.arrays import Arrays, draw_minibatches
 from hrl_escape.agents.components.networks import Network, ObservationEncoder
-from hrl_escape.agents.components.policy_gradient import draw_minibatches
+from hrl_escape.agents.components.policy import Memory
 from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.spaces import ObjectsBox
@@ -45,44 +45,6 @@ class GatedCell(nn.Module):
         context = observation[:, None, self._rows * self._words :].expand(-1, self._rows, -1)
         inputs = torch.cat([own, context], dim=2).flatten(0, 1)
         return self.cell(inputs, state.reshape(-1, self._units)).view(len(given), self._rows * self._units)
-
-
-class Memory:
-    """What networks are given beside the observation. This one keeps nothing: `size` is 0.
-
-    Attributes:
-        size: numbers in the state of an episode.
-    """
-
-    size: int = 0
-
-    @property
-    def networks(self) -> dict[str, Network]:
-        """Networks that are learned, by name."""
-        return {}
-
-    def read(self, observation: Tensor, state: Tensor) -> Tensor:
-        """Inputs of the networks, (n, numbers + size), from encoded observations and the states before them."""
-        return observation
-
-    def evaluate(self, observation: Any, state: Any) -> Any:
-        """Return `read` without gradients; arrays give arrays."""
-        return observation
-
-    def get_state(self, read: Any) -> Any:
-        """The states in the result of `read`, (n, size)."""
-        return read[:, :0]
-
-    def recall(self, encoded: NDArray) -> NDArray:
-        """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""
-        return encoded
-
-    def draw_batches(self, rollout: Any, size: int, rng: np.random.Generator, epochs: int
-                     ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Shuffle a rollout in every epoch and cut it; yields about `size` rows and the networks' inputs there."""
-        for rows in draw_minibatches(rng, len(rollout.place), size, epochs):
-            rows = rows.to(rollout.place.device)
-            yield rows, rollout.observation[rows]
 
 
 class GatedMemory(Memory):

@@ -20,21 +20,23 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, count_actions
+from hrl_escape.agents.components.arrays import draw_minibatches
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.components.option_agent import OptionAgent, OptionLog
 from hrl_escape.agents.components.policy_gradient import (
     Rollout,
-    collect_decisions,
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
-    draw_minibatches,
     find_next,
-    keep_decision,
     sample_policy,
-    stack_decisions,
     take_column,
+)
+from hrl_escape.agents.components.stream_rollouts import (
+    collect_decisions,
+    keep_decision,
+    stack_decisions,
     unstack_decisions,
 )
 from hrl_escape.agents.state import Kept, Stateful, StateTree

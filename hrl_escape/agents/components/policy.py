@@ -1,14 +1,55 @@
-"""Greedy policy of a network over encoded observations and what a memory keeps of the episode."""
+"""Greedy policy of a network over encoded observations and what a memory keeps of the episode; and no memory."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor
 
-from hrl_escape.agents.components.memory import Memory
+from hrl_escape.agents.components.arrays import draw_minibatches
 from hrl_escape.agents.components.networks import Network, ObservationEncoder
 from hrl_escape.agents.decisions import Moments, Policy
+
+
+class Memory:
+    """What networks are given beside the observation. This one keeps nothing: `size` is 0.
+
+    Attributes:
+        size: numbers in the state of an episode.
+    """
+
+    size: int = 0
+
+    @property
+    def networks(self) -> dict[str, Network]:
+        """Networks that are learned, by name."""
+        return {}
+
+    def read(self, observation: Tensor, state: Tensor) -> Tensor:
+        """Inputs of the networks, (n, numbers + size), from encoded observations and the states before them."""
+        return observation
+
+    def evaluate(self, observation: Any, state: Any) -> Any:
+        """Return `read` without gradients; arrays give arrays."""
+        return observation
+
+    def get_state(self, read: Any) -> Any:
+        """The states in the result of `read`, (n, size)."""
+        return read[:, :0]
+
+    def recall(self, encoded: NDArray) -> NDArray:
+        """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""
+        return encoded
+
+    def draw_batches(self, rollout: Any, size: int, rng: np.random.Generator, epochs: int
+                     ) -> Iterator[tuple[Tensor, Tensor]]:
+        """Shuffle a rollout in every epoch and cut it; yields about `size` rows and the networks' inputs there."""
+        for rows in draw_minibatches(rng, len(rollout.place), size, epochs):
+            rows = rows.to(rollout.place.device)
+            yield rows, rollout.observation[rows]
 
 
 class GreedyPolicy(Policy):
@@ -17,7 +58,7 @@ class GreedyPolicy(Policy):
     Args:
         encoder: from observations to inputs of the network.
         network: from inputs to one score an action, (n, actions).
-        memory: of the episode; `NoMemory` for none.
+        memory: of the episode; `Memory()` for none.
     """
 
     def __init__(self, encoder: ObservationEncoder, network: Network, memory: Memory) -> None:

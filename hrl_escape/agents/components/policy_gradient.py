@@ -6,20 +6,17 @@ that say their stream and their place in it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.arrays import Arrays
-from hrl_escape.agents.components.networks import BLOCK_ROWS, ObservationEncoder
+from hrl_escape.agents.components.networks import BLOCK_ROWS
 from hrl_escape.agents.state import Kept, Stateful
-from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 
 
 class Rollout(NamedTuple):
@@ -111,53 +108,6 @@ def count_places(stream: Tensor) -> Tensor:
     return place
 
 
-def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,
-                      bonus: Tensor | None = None) -> Rollout:
-    """Decisions of streams that ended, with what they were chosen with; `bonus` (n,) is in units of return."""
-    reward, bootstrap = compute_backups(decisions, settings)
-    reward = reward if bonus is None else reward + bonus
-    over = decisions.terminated | decisions.truncated
-    mask, log_probability, place, memory = choices.end(decisions.stream, over)
-    return Rollout(encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
-                   reward * settings.reward_scale, bootstrap, decisions.duration, over,
-                   encoder.encode_many(decisions.next_observation), memory, decisions.stream, place)
-
-
-def keep_decision(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, memory: NDArray[np.float32],
-                  bonus: float = 0.0) -> tuple:
-    """A decision of one environment as `stack_decisions` takes it, with what was remembered before it.
-
-    Rewards are scaled; the bonus is in units of return.
-    """
-    reward, bootstrap = compute_backup(transition, settings)
-    return (encoder.encode(transition.observation), transition.action_mask, transition.action,
-            (reward + bonus) * settings.reward_scale, bootstrap, transition.duration,
-            transition.terminated or transition.truncated, encoder.encode(transition.next_observation), memory)
-
-
-def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
-    """Decisions of one environment in order, from `keep_decision`, as a rollout, the first at the place `first`."""
-    dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)
-    fields = [torch.from_numpy(np.array(field, dtype))
-              for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
-    observation, mask, action, *rest = fields
-    return Rollout(observation, mask, action, torch.zeros(len(rows)), *rest,
-                   stream=torch.zeros(len(rows), dtype=torch.int64),
-                   place=torch.arange(first, first + len(rows)))
-
-
-def unstack_decisions(fields: Mapping[str, Any]) -> list[tuple]:
-    """The rows that `stack_decisions` took, of the fields of its result by name."""
-    names = ("observation", "mask", "action", "reward", "bootstrap", "duration", "over", "next_observation", "memory")
-    return list(zip(*(np.asarray(fields[name]) for name in names), strict=True))
-
-
-def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: int) -> Iterator[Tensor]:
-    """Shuffle the units' numbers anew in each epoch and cut them into minibatches, int64 (at most `size`,) each."""
-    for _ in range(epochs):
-        yield from torch.from_numpy(rng.permutation(units)).split(size)
-
-
 def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: Any) -> Tensor:
     """Generalised advantages of decisions of different duration, stream by stream, float32 (n,).
 
@@ -187,15 +137,18 @@ def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
     return after.clamp(min=0), (after >= 0) & ~rollout.over
 
 
-def compute_next_values(rollout: Rollout, values: Tensor, critic: Callable[[Tensor], Tensor]) -> Tensor:
-    """V of the states reached, float32 (n,): that of the stream's next decision, where it is part of the rollout.
+def compute_next_values(rollout: Rollout, values: Tensor, evaluate: Callable[[Tensor], Tensor]) -> Tensor:
+    """V of the states reached, float32 (n,): that of the next decision in the environment, where it is in the rollout.
 
-    Streams do not begin anew without saying that an episode is over. The critic, V of encoded observations, (k,) from
-    (k, ...), is asked where no decision follows.
+    Args:
+        rollout: the decisions.
+        values: V of the states in which they were made, (n,).
+        evaluate: V of the states that the decisions of some rows reached, (k,) from int64 (k,). It is asked where no
+            decision follows.
     """
     after, goes_on = find_next(rollout)
     last = (~goes_on).nonzero().squeeze(1)
-    return values[after].index_copy(0, last, critic(rollout.next_observation[last]))
+    return values[after].index_copy(0, last, evaluate(last))
 
 
 def compute_log_policy(logits: Any, mask: Any) -> Any:

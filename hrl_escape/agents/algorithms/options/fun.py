@@ -33,11 +33,9 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_advantages,
     compute_entropy,
     compute_log_policy,
-    keep_decision,
-    stack_decisions,
     take_column,
-    unstack_decisions,
 )
+from hrl_escape.agents.components.stream_rollouts import keep_decision, stack_decisions, unstack_decisions
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
