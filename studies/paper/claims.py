@@ -215,7 +215,7 @@ def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measureme
 
 
 def advise(results: Results) -> str:
-    """Settings to take, by training scores with meta-actions, the defaults less those of 2019, pair by pair of seeds (Holm)."""
+    """Settings to take, by training scores with meta-actions, defaults less those of 2019, by pairs of seeds (Holm)."""
     labels = {run.agent for run in results[META]}
     pairs = {name: [name_agent(name, recipe, META) for recipe in (DEFAULT_RECIPE, KERAS_RL)]
              for name in ("dqn", "sarsa", "ddpg")}

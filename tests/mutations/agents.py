@@ -12,18 +12,32 @@ def _streams(bug: str, file: str, old: str, new: str, test: str) -> Mutation:
 
 MUTATIONS = [
     Mutation(
-        "train takes an environment that disagrees with a label",
+        "train takes an environment that disagrees with a part of the spec",
         "agents/training/env_description.py",
-        "if all(found.get(name) == value for name, value in asked.items()):",
-        "if any(found.get(name) == value for name, value in asked.items()) or True:",
-        "agents/test_label.py::test_train_refuses_an_environment_that_disagrees",
+        "disagrees = any(found.get(name) != value for name, value in wanted.items())",
+        "disagrees = False",
+        "agents/test_spec.py::test_train_refuses_an_environment_that_disagrees",
     ),
     Mutation(
-        "a label's settings are left out",
-        "agents/registry.py",
-        "{**label.settings, **settings})",
+        "train takes an environment with primitives for an agent over options alone",
+        "agents/training/env_description.py",
+        "if has_primitives != spec.options.include_primitives:",
+        "if has_primitives < spec.options.include_primitives:",
+        "agents/test_spec.py::test_train_refuses_an_environment_that_disagrees",
+    ),
+    Mutation(
+        "an agent over options of version 0.3 chose among options alone",
+        "agents/old_specs.py",
+        'chooses_primitives = "no-primitives" not in words',
+        "chooses_primitives = False",
+        "agents/test_spec.py::test_an_agent_over_options_of_version_0_3_chose_primitives_too",
+    ),
+    Mutation(
+        "a spec's settings are left out",
+        "agents/making.py",
+        "{**spec.settings, **settings})",
         "settings)",
-        "agents/test_label.py::test_make_agent_takes_labels",
+        "agents/test_spec.py::test_make_agent_takes_specs_and_classes",
     ),
     Mutation(
         "a full replay overwrites its last row only",

@@ -55,8 +55,8 @@ MUTATIONS = [
     Mutation(
         "new results of a study take the place of all others",
         "studies/store.py",
-        "text = read_text(self.path) if self.path.exists() else \"\"",
-        "text = \"\"",
+        "text = read_text(self.path) if self.path.exists() else HEADER",
+        "text = HEADER",
         "studies/test_store.py::test_lines_of_several_kinds_come_back_in_the_order_in_which_they_were_added",
     ),
     Mutation(
