@@ -1,4 +1,4 @@
-from .agents.registry import make_agent
+from .agents.making import make_agent
 from .agents.training.train import train
 from .comparison.pretrained import load_pretrained
 from .env.config import RoomConfig

@@ -238,7 +238,9 @@ class AgentSpec(Settings):
 
     @property
     def title(self) -> str:
-        """Display name in prose, tables and legends, such as "DQN over options, with memory"."""
+        """Display name in prose, tables and legends, such as "DQN over options, with memory"; a label of its own."""
+        if self.label != str(self):
+            return self.label
         words = [find_title(self.name)]
         if self.chooses_options and not self.is_reference:
             kind = {"press-with-ancestors": "options with ancestors", "press-reactive": "reactive options"}

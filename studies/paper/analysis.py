@@ -95,7 +95,7 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
         "best": [results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
         "runs": {name: _count_runs(results, name) for name in results}, "parted": parted, "alike": alike,
         "by_chance": tell_chance([finding.by_chance for finding in findings]),
-        "claims": make_table(["", "the paper says", "measured", "settings `keras-rl-2019`", "default settings",
+        "claims": make_table(["", "the paper says", "measured", "`keras-rl-2019`", "`default`",
                               "agree?", "published program, rerun"], rows),
         "numbers": make_table(["figure", "agent", "final score", "slope", "settled", "escapes in training"], [
             _make_row(results, name, agent) for name in results

@@ -4,10 +4,10 @@ import json
 
 import gymnasium
 import pytest
-from hrl_escape.agents.label import TRAITS
 
 from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.registry import list_agents, list_hierarchy_agents, list_stream_agents
+from hrl_escape.agents.spec import PARTS
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS
@@ -40,18 +40,19 @@ def test_each_agent_is_described_by_its_own_file(capsys):
 
 
 def test_lists_are_read_from_what_they_list(capsys):
-    lists = json.loads(call(capsys, "list", "environments", "traits", "recommended", "--json")[1])
+    lists = json.loads(call(capsys, "list", "environments", "parts", "recommended", "--json")[1])
     ids = {name for name, spec in gymnasium.registry.items() if spec.namespace == "hrl_escape"}
     assert set(lists["environments"]) == ids >= {"hrl_escape/EscapeRoom-v1", "hrl_escape/EscapeRoomContinuous-v1"}
     assert lists["environments"]["hrl_escape/ClutterOptions-v1"] == "preset clutter, with options"
-    assert set(lists["traits"]) == {f"+{name}" for name in TRAITS}
+    assert set(lists["parts"]) == {f"+{name}" for name in PARTS}
     assert list(lists["recommended"]) == [choice.label for choice in RECOMMENDED]
 
 
 @pytest.mark.slow  # imports every algorithm
 def test_recipes_and_agents_of_many_rooms_are_listed_where_they_are_asked_for(capsys):
     lists = json.loads(call(capsys, "list", "recipes", "batched", "--json")[1])
-    assert lists["recipes"]["h-dqn"] == "corrected or table" and lists["recipes"]["dqn"] == "corrected or paper"
+    assert lists["recipes"]["h-dqn"] == "default, table or patient"
+    assert lists["recipes"]["dqn"] == "default, patient or keras-rl-2019"
     assert list(lists["batched"]) == list_stream_agents() and "rainbow" in lists["batched"]
 
 

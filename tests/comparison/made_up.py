@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.agents.spec import list_specs
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import Grid
@@ -51,15 +51,12 @@ def compare(agents: dict[str, Sequence[Sequence[float] | RunResult | None]], roo
     """A comparison from each agent's runs, room by room.
 
     Args:
-        agents: name -> runs, each the returns at its evaluations, a result, or None for a failure. An
-            exclamation mark behind the name leaves the primitives out of its choices.
+        agents: spec -> runs, each the returns at its evaluations, a result, or None for a failure.
         rooms: 1 or 2.
         budget: primitives.
         runs: of an agent in a room; as many as the longest list has by default.
     """
-    specs = tuple(
-        AgentSpec(name.rstrip("!"), options=OptionsView(include_primitives=not name.endswith("!"))) for name in agents
-    )
+    specs = list_specs(agents)
     instances = (ROOM, OTHER_ROOM)[:rooms]
     runs = runs or max(map(len, agents.values())) // rooms
     grid = Grid("made-up", agents=specs, rooms=tuple(RoomSpec(i.name) for i in instances), runs=runs, primitives=budget)

@@ -92,7 +92,7 @@ def test_curves_are_interpolated_between_evaluations_and_carry_all_three_axes():
 def test_what_is_missing_splits_into_what_options_cannot_do_and_what_was_not_learned():
     """Reachable 0.8, reached 0.5: 0.2 lies with the options, 0.3 with learning."""
     runs = [make_result([at(0.5)], best=PLANNED, reachable=at(0.8))] * 4
-    (agent,) = summarise(compare({"smdp-dqn!": runs})).agents
+    (agent,) = summarise(compare({"smdp-dqn": runs})).agents
     assert agent.gap == pytest.approx((0.2, 0.3))
 
 
@@ -117,7 +117,7 @@ def test_an_agent_that_beats_the_planner_raises_the_best_known_for_all_that_star
 def test_a_raised_best_is_reachable_only_for_who_could_do_the_old_best():
     summary = summarise(compare({
         "dqn": [make_result([100.0], best=50.0)] * 4,
-        "smdp-dqn!": [make_result([40.0], best=50.0, reachable=40.0)] * 4,
+        "smdp-dqn": [make_result([40.0], best=50.0, reachable=40.0)] * 4,
     }))
     assert summary.agents[1].gap == pytest.approx((1 - 1 / 61, 0))
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hrl_escape.agents.registry import KERAS_RL
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import FileReadError
@@ -205,8 +206,8 @@ def test_intervals_leave_the_level_out_where_a_verdict_is_given():
 def test_advice_on_recipes_follows_their_scores(paper: float, corrected: float, words: str):
     results = make_paper_results(1.0, 1.0)
     results[FIGURES[2]] = [make_run(run.agent, [0.0] * 11, seed=run.seed, training=[
-        (paper if ("@keras-rl-2019" in run.agent) else corrected)
-        + 0.01 * (-1) ** run.seed * ("@keras-rl-2019" in run.agent)] * BINS) for run in results[FIGURES[2]]]
+        (paper if KERAS_RL in run.agent else corrected)
+        + 0.01 * (-1) ** run.seed * (KERAS_RL in run.agent)] * BINS) for run in results[FIGURES[2]]]
     assert advise(results).startswith(words), advise(results)
 
 

@@ -94,7 +94,7 @@ def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
         middle, low, high = agent.curve.metrics[metric]
         if not is_level(agent.spec):
             axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
-        axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", label=agent.label,
+        axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", label=agent.spec.title,
                   linewidth=0.9 if is_level(agent.spec) else 1.8)
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
     _finish(axes)
@@ -106,7 +106,7 @@ def draw_profile(summary: Summary) -> Figure:
     figure, axes = _make_axes("efficiency", "share of runs above")
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         axes.step(PROFILE, agent.profile, where="post", color=look.colour, linewidth=1.8,
-                  linestyle="--" if look.is_dashed else "-", label=agent.label)
+                  linestyle="--" if look.is_dashed else "-", label=agent.spec.title)
     axes.set_ylim(-0.02, 1.04)
     _finish(axes)
     return figure

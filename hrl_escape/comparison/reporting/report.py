@@ -226,7 +226,8 @@ def _read(*names: str) -> Markup:
 def _make_chip(agent: AgentSummary, look: AgentStyle) -> Markup:
     style = f"--line:{look.colour};--text:{look.text}"
     view = "flat" if look.is_dashed else "options"
-    return Markup('<span class="agent {}" style="{}">{}</span>').format(view, style, agent.label)
+    chip = Markup('<span class="agent {}" style="{}" title="{}">{}</span>')
+    return chip.format(view, style, agent.label, agent.spec.title)
 
 
 def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
@@ -394,6 +395,7 @@ def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
 def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:
     return {
         "label": agent.label,
+        "title": agent.spec.title,
         "colour": look.colour,
         "text": look.text,
         "dash": look.is_dashed,

@@ -298,7 +298,7 @@ def test_the_page_works_in_a_browser_without_network(summary: Summary, source: s
     found = re.search(r'<pre id="probe">(.*?)</pre>', shown, re.DOTALL)
     assert found, shown[-2000:]
     report = json.loads(found[1])
-    labels = [agent.label for agent in summary.agents]
+    labels = [agent.spec.title for agent in summary.agents]
     assert report["lines"] == len(labels) and sorted(report["names"]) == sorted(labels)
     assert report["title"] == "primitives of training" and report["switched"] == "decisions of training"
     assert report["left"] == report["profile"] == len(labels) - 1
@@ -335,8 +335,8 @@ frame.onload = () => {{
 @pytest.mark.parametrize("width", [pytest.param(1280, marks=pytest.mark.slow), 390])
 def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_path: Path, width: int):
     """With a long name, nothing is cut, nothing but tables scrolls, and words in charts are 9 pixels high or more."""
-    longest = "smdp-ppo+objects+memory"
-    content = json.dumps(source.replace(summary.agents[-1].label, longest))
+    longest = AgentSpec.parse("smdp-ppo+objects+memory+primitives").title
+    content = json.dumps(source.replace(summary.agents[-1].spec.title, longest))
     (tmp_path / "framed.html").write_text(f"<pre>{html.escape(content)}</pre>{FRAMED.format(width=width)}")
     found = re.search(r"<pre>(.*?)</pre>", dump_page(tmp_path / "framed.html", tmp_path), re.DOTALL)
     assert found and len(found[1]) < 1000, "the page was not measured"
@@ -347,12 +347,13 @@ def test_the_page_fits_a_laptop_and_a_phone(summary: Summary, source: str, tmp_p
 
 def test_what_learns_nothing_is_one_thin_line_without_a_band(summary: Summary, page: Page):
     levels = {agent.label for agent in summary.agents if agent.spec.is_reference or not agent.spec.learns}
+    titles = {agent.spec.title for agent in summary.agents if agent.label in levels}
     assert levels and {agent.label for agent in summary.agents} - levels
     assert {agent["label"] for agent in json.loads(page.data)["agents"] if agent["is_level"]} == levels
     axes = draw_curves(summary, "efficiency", "primitives").axes[0]
     assert len(axes.collections) == len(summary.agents) - len(levels), "a band for each that learns"
     widths = {str(line.get_label()): line.get_linewidth() for line in axes.lines}
-    assert max(widths[label] for label in levels) < min(widths[label] for label in set(widths) - levels)
+    assert max(widths[title] for title in titles) < min(widths[title] for title in set(widths) - titles)
 
 
 @pytest.mark.nightly

@@ -45,7 +45,7 @@ function drawCurves() {
     const curve = room < 0 ? agent.curve : agent.room_curves[room];
     if (!curve) return [];
     const [y, low, high] = curve[metric.source].map((values) => values.map(turn));
-    return [{ name: agent.label, colour: agent.colour, text: isDark ? agent.colour : agent.text, dash: agent.dash, thin: agent.is_level, x: curve[against], y, low, high }];
+    return [{ name: agent.title, colour: agent.colour, text: isDark ? agent.colour : agent.text, dash: agent.dash, thin: agent.is_level, x: curve[against], y, low, high }];
   });
   const all = series.flatMap((s) => (s.thin ? s.y : [...s.low, ...s.high]));
   const range = metric.yRange || (metric.yLog ? [Math.max(1, Math.min(...all)) * 0.85, Math.max(...all) * 1.15]
@@ -68,7 +68,8 @@ for (const agent of data.agents) {
   const button = document.createElement("button"), name = document.createElement("span");
   name.className = "agent" + (agent.dash ? " flat" : "");
   name.style.setProperty("--line", agent.colour);
-  name.textContent = agent.label;
+  name.textContent = agent.title;
+  name.title = agent.label;
   button.append(name);
   button.setAttribute("aria-pressed", true);
   button.title = "Show or hide";
@@ -93,7 +94,7 @@ function drawProfile() {
     const y = kept.map((i) => agent.profile[i]);
     const order = close ? [...kept.keys()].reverse() : [...kept.keys()];
     const ys = order.map((i) => y[i]);
-    return { name: agent.label, colour: agent.colour, text: isDark ? agent.colour : agent.text, dash: agent.dash, thin: agent.is_level, x: order.map((i) => x[i]), y: ys, low: ys, high: ys };
+    return { name: agent.title, colour: agent.colour, text: isDark ? agent.colour : agent.text, dash: agent.dash, thin: agent.is_level, x: order.map((i) => x[i]), y: ys, low: ys, high: ys };
   });
   const box = document.getElementById("profile-chart");
   drawChart(box, series, {
@@ -131,7 +132,8 @@ function showCards() {
     card.className = "card";
     name.className = "agent" + (agent.dash ? " flat" : "");
     name.style.setProperty("--line", agent.colour);
-    name.textContent = agent.label;
+    name.textContent = agent.title;
+  name.title = agent.label;
     head.append(name);
     const what = document.createElement("div"), box = document.createElement("div");
     what.className = "what";
