@@ -3,7 +3,8 @@
     hrl-escape convert runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape convert grid.toml --out new.toml
 
-PATH is the folder or archive of a training run, a submission, or a grid (.toml, .json). `smdp-dqn` of version 0.3
+PATH is the folder or archive of a training run, a submission, a grid (.toml, .json), a recording (.npz), recorded games
+(.jsonl) or a recorded episode (.json). `smdp-dqn` of version 0.3
 becomes `smdp-dqn+primitives`, `smdp-dqn+no-primitives` becomes `smdp-dqn`, and search baselines, named settings and
 hierarchies get their new names. A converted run can be loaded, watched, recorded and packed; to resume it, train it
 anew. Results of comparisons count for the version that made them: convert the grid, and run it.
@@ -19,6 +20,8 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.comparison.conversion import convert_file
+from hrl_escape.data.convert import convert_data
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text
 
 
@@ -27,7 +30,7 @@ class ConvertArgs:
     """Options of `hrl-escape convert`."""
 
     path: Annotated[Path, tyro.conf.Positional]
-    """Folder or archive of a run, a submission, or a grid."""
+    """Folder or archive of a run, a submission, a grid, a recording, recorded games or a recorded episode."""
     out: Path | None = None
     """What to write; by default beside PATH, with -converted behind its name."""
 
@@ -37,6 +40,8 @@ def run(args: ConvertArgs) -> None:
     path = args.path.absolute()
     suffix = "" if path.is_dir() else path.suffix
     out = args.out or path.with_name(f"{path.name.removesuffix(suffix)}-converted{suffix}")
-    said = convert_file(path, out)
+    if out.exists():
+        raise UnsupportedError(f"{out} is there already: give another --out")
+    said = (path.is_file() and convert_data(path, out)) or convert_file(path, out)
     console = Console(soft_wrap=True, highlight=False)
     console.print(f"converted {make_console_text(said)}: {make_console_text(str(out))}")

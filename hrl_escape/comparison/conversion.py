@@ -1,7 +1,7 @@
 """Files of version 0.3 in the form of this version: agent labels become specs, and renamed fields follow.
 
 Runs keep their weights, curves and settings. A run is loaded, watched, recorded and packed again; it is not resumed,
-for a run is resumed by the version that began it. Rooms, options and tapes hold no labels and stay as they are.
+for a run is resumed by the version that began it. Recordings are converted by `data/convert.py`.
 """
 
 from __future__ import annotations
@@ -34,15 +34,26 @@ from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.submission import RUN, SUBMISSION
 from hrl_escape.errors import AgentSettingsError, FileReadError, UnsupportedError
 from hrl_escape.files import open_plain, read_json, read_text, read_toml, write_json, write_text
+from hrl_escape.sets.room_spec import renew_room
 
 OLD_RUN_FORMAT = 2
 """Format of the runs of version 0.3."""
 MOVED = {"hrl_escape.agents.algorithms.given.": "hrl_escape.agents.algorithms.task_hierarchies.",
          "hrl_escape.agents.larg2019.": "hrl_escape.agents.keras_rl_2019.",
-         "hrl_escape.agents.label": "hrl_escape.agents.spec"}
+         "hrl_escape.agents.label": "hrl_escape.agents.spec",
+         "hrl_escape.comparison.places:RoomSchedule": "hrl_escape.sets.room_schedule:RoomSchedule",
+         **{f"hrl_escape.ladder.{name}:": f"hrl_escape.sets.{name}:"
+            for name in ("common_spaces", "goals", "instance_set", "sequence")},
+         "hrl_escape.synthesis.": "hrl_escape.hierarchies.",
+         "hrl_escape.text.told_env:ToldEnv": "hrl_escape.text.text_env:TextEnv"}
 """Modules of version 0.3 whose parts have moved."""
-RENAMED = {"hrl_escape.synthesis.hierarchy_env:HierarchyEnv": {"leaves": "low_level"}}
+RENAMED = {"hrl_escape.hierarchies.hierarchy_env:HierarchyEnv": {"leaves": "low_level"},
+           "hrl_escape.text.text_env:TextEnv": {"told": "reveal"}}
 """Arguments of environments and wrappers that have another name now, by class."""
+FIELDS = {"flavour": "option_set"}
+"""Fields that have another name now, wherever they are."""
+VALUES = {"press-markov": "press-reactive"}
+"""Names of option sets that are others now."""
 
 
 def convert_file(path: Path, out: Path) -> str:
@@ -69,9 +80,6 @@ def convert_file(path: Path, out: Path) -> str:
         return _convert_grid_file(path, out)
     if path.suffix.lower() == ".zip":
         return _convert_archive(path, out)
-    if path.suffix.lower() in (".npz", ".jsonl", ".html"):
-        raise UnsupportedError(f"{path}: tapes, recorded games and pages hold no agent specs, so there is nothing to "
-                               "convert")
     if not path.exists():
         raise FileReadError(f"{path}: no such file or folder")
     raise UnsupportedError(f"{path}: convert takes the folder or archive of a run, a submission, or a grid (.toml, "
@@ -115,7 +123,7 @@ def _convert_run(folder: Path, where: Path) -> str:
 
 def convert_run_description(described: Mapping[str, Any]) -> dict[str, Any]:
     """The description of a run of version 0.3 in the form of this version."""
-    made = _rename(dict(described))
+    made = rename_fields(described)
     return {**made, "format": RUN_FORMAT, "name": _convert_name(described["name"])}
 
 
@@ -124,18 +132,18 @@ def _convert_name(name: str) -> str:
     return NAMES.get(name, name)
 
 
-def _rename(value: Any) -> Any:
-    """JSON value with the new places of classes, and the new names of their arguments."""
+def rename_fields(value: Any) -> Any:
+    """JSON value with the new places of classes, and the new names of fields, arguments and option sets."""
     if isinstance(value, list):
-        return [_rename(each) for each in value]
+        return [rename_fields(each) for each in value]
     if isinstance(value, str):
         for old, new in MOVED.items():
             if value.startswith(old):
                 return new + value.removeprefix(old)
+        return VALUES.get(value, value)
+    if not isinstance(value, Mapping):
         return value
-    if not isinstance(value, dict):
-        return value
-    made = {name: _rename(each) for name, each in value.items()}
+    made = {FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
     names = RENAMED.get(made.get("class", ""), {}) if isinstance(made.get("class", ""), str) else {}
     if names and isinstance(made.get("arguments"), dict):
         made["arguments"] = {names.get(name, name): each for name, each in made["arguments"].items()}
@@ -189,8 +197,8 @@ def convert_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
     options = card["view"]["options"] if card["view"]["choices"] == "options" else {}
     name = convert_text(card["name"]) if options == {} or not _is_label(card["name"]) else convert_label(
         card["name"], options.get("include_primitives"))
-    return {**entry, "agent": _convert_name(entry["agent"]),
-            "card": {**card, "name": name, "training": convert_text(card["training"])}}
+    return {**rename_fields(entry), "agent": _convert_name(entry["agent"]),
+            "card": {**rename_fields(card), "name": name, "training": convert_text(card["training"])}}
 
 
 # --- grids -----------------------------------------------------------------------------
@@ -214,9 +222,11 @@ def _convert_grid_file(path: Path, out: Path) -> str:
 
 
 def convert_grid(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a grid of version 0.3 with the agents of this version."""
-    return {**content, "agents": [convert_label(agent) if isinstance(agent, str) else _convert_agent(agent)
-                                  for agent in content["agents"]]}
+    """The table of a grid of version 0.3 with the agents and the texts of rooms of this version."""
+    rooms = {name: [renew_room(room) for room in content[name]]
+             for name in ("rooms", "train_rooms", "test_rooms") if name in content}
+    return {**content, **rooms, "agents": [convert_label(agent) if isinstance(agent, str) else _convert_agent(agent)
+                                           for agent in content["agents"]]}
 
 
 def _convert_agent(agent: Mapping[str, Any]) -> dict[str, Any]:
@@ -225,6 +235,7 @@ def _convert_agent(agent: Mapping[str, Any]) -> dict[str, Any]:
     options = dict(agent.get("options", {}))
     spec = AgentSpec.parse(convert_label(f"{name}@{recipe}", options.pop("include_primitives", True)))
     made: dict[str, Any] = {"name": spec.name}
+    options = rename_fields(options)
     label = agent.get("label", "")
     if label and not (label.startswith(name) and label[len(name):][:1] in ("", "@", "+")):
         made["label"] = label
@@ -233,6 +244,8 @@ def _convert_agent(agent: Mapping[str, Any]) -> dict[str, Any]:
     settings = dict(agent.get("settings", {}))
     if "model" in settings and spec.name == "text-agent":
         settings["model"] = MANAGERS.get(settings["model"], settings["model"])
+    if "told" in settings and spec.name == "text-agent":
+        settings["reveal"] = settings.pop("told")
     if settings:
         made["settings"] = settings
     if spec.options.include_primitives:

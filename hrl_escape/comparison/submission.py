@@ -77,7 +77,7 @@ RUN = "run.zip"
 """Part that holds the training run of an agent of this package."""
 _FILE = r"(?!submission\.json$|cells\.csv$|run\.zip$|manifest\.json$)[A-Za-z0-9_][A-Za-z0-9_.-]{0,39}"
 SUBMISSION = ArchiveKind("a submission", re.compile(rf"submission\.json|cells\.csv|run\.zip|{_FILE}"),
-                         "Make it anew with `hrl-escape ladder submit`")
+                         "Make it anew with `hrl-escape ladder submit`, or `hrl-escape convert` one of version 0.3")
 MOST_FILES, LONGEST_TEXT = 12, 200
 HIDDEN_ROOMS = 100
 """Rooms of a hidden test."""

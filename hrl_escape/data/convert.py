@@ -1,7 +1,7 @@
 """Files of version 0.3 in the form of this version: recordings, recorded games and episodes, and names in JSON values.
 
-Options were called by number (`meta-01`) or in words (`press button-1`), and option sets were flavours. `hrl-escape
-convert` calls `convert_data` for the files, and `rename_fields` for runs, submissions and grids.
+Options were called by number (`meta-01`) or in words (`press button-1`). `hrl-escape convert` calls `convert_data`, and
+`comparison/conversion.py` for runs, submissions and grids.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.comparison.conversion import convert_text, rename_fields
 from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_recording
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -22,16 +23,12 @@ from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, find_new_name, name_goal
 from hrl_escape.sets.grammar import find_set
+from hrl_escape.sets.room_spec import renew_room
 from hrl_escape.text.recordings import Game, record_game, save_games
 from hrl_escape.text.text_env import RoomSession, ToolCall
 from hrl_escape.text.words import clean
 
 EPISODE_SCHEMA = 3
-_FIELDS = {"flavour": "option_set"}
-_VALUES = {"press-markov": "press-reactive"}
-_MODULES = {"hrl_escape.synthesis.": "hrl_escape.hierarchies.",
-            "hrl_escape.text.told_env:ToldEnv": "hrl_escape.text.text_env:TextEnv"}
-
 
 def convert_data(path: Path, out: Path) -> str | None:
     """Write a recording (.npz), recorded games (.jsonl) or a recorded episode (.json) in the form of this version.
@@ -54,23 +51,6 @@ def convert_data(path: Path, out: Path) -> str | None:
     return None if convert is None else convert(path, out)
 
 
-def rename_fields(value: Any) -> Any:
-    """JSON value with the new names of fields, of option sets and of moved modules, at any depth."""
-    if isinstance(value, Mapping):
-        made = {_FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
-        if made.get("class") == "hrl_escape.text.text_env:TextEnv" and "told" in made.get("arguments", ()):
-            made["arguments"] = {"reveal" if name == "told" else name: each for name, each in made["arguments"].items()}
-        return made
-    if isinstance(value, list):
-        return [rename_fields(each) for each in value]
-    if isinstance(value, str):
-        for old, new in _MODULES.items():
-            if value.startswith(old):
-                return new + value.removeprefix(old)
-        return _VALUES.get(value, value)
-    return value
-
-
 def name_options(room: RoomInstance) -> tuple[str, ...]:
     """Names of a room's options, the exit's last."""
     return tuple(name_goal(goal, room) for goal in (*list_goals(room), ExitGoal()))
@@ -82,11 +62,13 @@ def _convert_recording(path: Path, out: Path) -> str | None:
             return None
     recording = load_recording(path, version=1)
     count, actions = recording.primitive_count, list(recording.about["actions"])
+    rooms = str(renew_room(str(recording.about["rooms"])))
     if actions[count:] and tuple(actions[count:]) == number_options(len(actions) - count):
-        actions[count:] = name_options(find_set(recording.about["rooms"])[0])
+        actions[count:] = name_options(find_set(rooms)[0])
     if len(actions) != len(recording.about["actions"]):
         raise FileReadError(f"{path}: it has {len(recording.about['actions'])} actions, and its rooms {len(actions)}")
-    about = {**recording.about, "format": RECORDING_FORMAT, "actions": actions}
+    about = {**recording.about, "format": RECORDING_FORMAT, "actions": actions, "rooms": rooms,
+             "policies": [convert_text(policy) for policy in recording.about["policies"]]}
     save_recording(out, dataclasses.replace(recording, about=about))
     return f"the recording {about['name']}"
 

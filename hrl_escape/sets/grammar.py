@@ -53,7 +53,8 @@ VALID = ("clutter, clutter#3, clutter#0..16, 'clutter#*', 'larg-2019(size=4)', l
 
 _REPEATED = re.compile(r"(?P<rooms>.+) x (?P<count>\d+)", re.DOTALL)
 _CALL = re.compile(r"(?P<name>[^()\[\]]+)\((?P<arguments>.*)\)", re.DOTALL)
-_BRACKETS = re.compile(r"(?P<name>.+)\[(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)\]", re.DOTALL)
+BRACKETS = re.compile(r"(?P<name>.+)\[(?P<start>\d*)(?P<colon>:?)(?P<stop>\d*)\]", re.DOTALL)
+"""Index or slice of a set in version 0.3."""
 _FILES = (".json", ".toml")
 
 
@@ -107,8 +108,8 @@ class RoomName:
         base, mark, which = ("", "", "") if text.lower().endswith(_FILES) else text.rpartition("#")
         if not mark:
             base, which = text, ""
-        if brackets := _BRACKETS.fullmatch(text):
-            raise ConfigError("room", text, f"write {_renew_brackets(brackets)}")
+        if brackets := BRACKETS.fullmatch(text):
+            raise ConfigError("room", text, f"write {renew_brackets(brackets)}")
         chosen, is_one = _parse_choice(text, base, which) if mark else (None, False)
         arguments: dict[str, Any] = {}
         if Path(base).suffix.lower() not in _FILES and (call := _CALL.fullmatch(base)):
@@ -118,7 +119,7 @@ class RoomName:
         return cls(base, arguments, chosen, is_one)
 
 
-def _renew_brackets(found: re.Match[str]) -> str:
+def renew_brackets(found: re.Match[str]) -> str:
     """Form of today for an index or a slice in brackets."""
     start = found["start"] or "0"
     return f"{found['name']}#{start}..{found['stop'] or 'STOP'}" if found["colon"] else f"{found['name']}#{start}"

@@ -15,23 +15,36 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError
 from hrl_escape.sets.changes import change_config
-from hrl_escape.sets.grammar import RoomName, make_room
+from hrl_escape.sets.grammar import BRACKETS, RoomName, make_room, renew_brackets
 from hrl_escape.sets.places import RunPlace
 from hrl_escape.settings import Range, Settings
 
 _OLD_FIELDS = {"preset", "file", "seed", "arguments"}
 
 
-def _name_old(table: Mapping[str, Any]) -> str:
-    """Text of a room in a table of version 0.3."""
-    if isinstance(table.get("set"), str):
-        return re.sub(r"\[(\d+)\]$", r"#\1", table["set"])
-    if "file" in table:
-        return str(table["file"])
-    arguments = table.get("arguments")
+def renew_room(room: str | Mapping[str, Any]) -> str | dict[str, Any]:
+    """Form of a room or of a set of a grid of version 0.3 in this version, where ranges leave their end out."""
+    if isinstance(room, str):
+        return " + ".join(_renew_text(part) for part in room.split(" + "))
+    if room.get("config") is not None:
+        return {"config": room["config"], **({"instance": room["seed"]} if room.get("seed") else {})}
+    for source in ("set", "file"):
+        if room.get(source) is not None:
+            return renew_room(str(room[source]))
+    arguments = room.get("arguments")
     inside = ", ".join(f"{name}={value}" for name, value in arguments.items()) if isinstance(arguments, Mapping) else ""
-    text = f"{table.get('preset', 'clutter')}" + (f"({inside})" if inside else "")
-    return f"{text}#{table['seed']}" if table.get("seed") else text
+    text = f"{room.get('preset') or 'clutter'}" + (f"({inside})" if inside else "")
+    return f"{text}#{room['seed']}" if room.get("seed") else text
+
+
+def _renew_text(text: str) -> str:
+    repeated, cross, count = text.rpartition(" x ")
+    text = repeated if cross else text
+    if found := BRACKETS.fullmatch(text):
+        text = renew_brackets(found)
+    elif found := re.fullmatch(r"(.+#\d+\.\.)(\d{1,18})", text):
+        text = found[1] + str(int(found[2]) + 1)
+    return f"{text} x {count}" if cross else text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,7 +103,7 @@ class RoomSpec(Settings):
     def from_dict(cls, data: Any) -> Self:
         """Build from a table; one of version 0.3 is refused with a message that shows its new form."""
         if isinstance(data, Mapping) and (_OLD_FIELDS & data.keys() or isinstance(data.get("set"), str)):
-            raise GridError(f"a room of a grid is one text since version 0.4: write {_name_old(data)!r}")
+            raise GridError(f"a room of a grid is one text since version 0.4: write {renew_room(data)!r}")
         return super().from_dict(data)
 
     @classmethod

@@ -59,7 +59,10 @@ def test_a_run_of_version_0_3_is_refused_and_plays_as_before_once_converted(
 
 def test_a_pretrained_agent_of_version_0_3_is_converted_with_its_card(tmp_path: Path):
     (tmp_path / "old").mkdir()
-    read_submission(OLD / "pretrained.zip", tmp_path / "old")
+    with pytest.raises(CheckpointError, match="hrl-escape convert"):
+        read_submission(OLD / "pretrained.zip", tmp_path / "old")
+    with zipfile.ZipFile(OLD / "pretrained.zip") as archive:
+        archive.extract("run.zip", tmp_path / "old")
     with pytest.raises(CheckpointError, match="hrl-escape convert"):
         unpack_run(tmp_path / "old" / "run.zip", tmp_path / "run")
     convert_file(OLD / "pretrained.zip", tmp_path / "new.zip")
@@ -77,12 +80,14 @@ def test_a_grid_of_version_0_3_is_refused_and_keeps_its_agents_once_converted(tm
         convert_file(OLD / name, tmp_path / name)
     assert (tmp_path / "grid.toml").read_text().startswith("# Does gamma matter?\nformat = 2\n")
     grid = load_grid(tmp_path / "grid.toml")
-    assert (grid.primitives, grid.runs, len(grid.rooms)) == (500, 3, 2)
+    assert (grid.primitives, grid.runs) == (500, 3)
+    assert [room.label for room in grid.rooms] == ["clutter#2", "larg-2019(size=3)"]
     assert [(agent.label, str(agent)) for agent in grid.agents] == [
         ("random-options+primitives", "random-options+primitives"), ("dqn@patient", "dqn@patient"),
         ("smdp-q-learning+reactive", "smdp-q-learning+reactive"), ("oracle", "oracle"),
         ("far-sighted", "smdp-dqn(gamma=0.999)+primitives"), ("no primitives", "smdp-dqn"), ("search", "search-random"),
-        ("hamq+learned", "hamq+learned"), ("text-agent(model=search-random,told=names)",) * 2]
+        ("hamq+learned", "hamq+learned"), ("text-agent(model=search-random,reveal=names)",) * 2]
+    assert [room.label for room in load_grid(tmp_path / "grid.json").rooms] == ["paper-two-button"]
     assert [agent.label for agent in load_grid(tmp_path / "grid.json").agents] == [
         "smdp-dqn+primitives", "smdp-dqn", "search-nearest", "dqn@keras-rl-2019", "maxq-q+planned", "far"]
     assert load_grid(tmp_path / "grid.json").agents[-1] == AgentSpec(
@@ -99,7 +104,7 @@ def test_the_command_converts_beside_the_file_and_leaves_it(tmp_path: Path, caps
 
 
 @pytest.mark.parametrize(("name", "content", "error", "words"), [
-    ("game.jsonl", "{}", UnsupportedError, "hold no agent specs"),
+    ("game.jsonl", "{}", UnsupportedError, "convert takes"),
     ("room.json", '{"config": {}}', UnsupportedError, "no grid"),
     ("odd.zip", "text", FileReadError, "no archive"),
     ("notes.txt", "text", UnsupportedError, "convert takes"),

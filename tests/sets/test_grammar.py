@@ -19,6 +19,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets import InstanceSet, SequenceEnv, find_set, load_benchmark, make_room
 from hrl_escape.sets.grammar import LARGEST_RANGE, RoomName, find_rooms
 from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON, RoomSequence
+from hrl_escape.sets.room_spec import renew_room
 
 
 def list_seeds(text):
@@ -220,3 +221,16 @@ def test_the_id_makes_vector_environments_of_a_set_too():
         gymnasium.make("hrl_escape/Ladder-v1", rung="pair", slice="5000")
     with pytest.raises(ConfigError, match=r"write 0..64"):
         gymnasium.make("hrl_escape/Ladder-v1", rung="pair", slice=":64")
+
+
+@pytest.mark.parametrize(("old", "new"), [
+    ("clutter#3", "clutter#3"), ("clutter#0..15", "clutter#0..16"), ("ladder-1/chain/test[3]", "ladder-1/chain/test#3"),
+    ("ladder-1/chain/train[:64]", "ladder-1/chain/train#0..64"),
+    ("marks-3/places/train[:8] x 3", "marks-3/places/train#0..8 x 3"),
+    ("clutter#0..15 + ten-button#0..15", "clutter#0..16 + ten-button#0..16"),
+    ({"preset": "larg-2019", "arguments": {"size": 4}, "config": None, "file": None, "set": None, "seed": 2},
+     "larg-2019(size=4)#2"),
+    ({"preset": None, "config": {"horizon": 50}, "seed": 4}, {"config": {"horizon": 50}, "instance": 4}),
+    ({"file": "room.json"}, "room.json")])
+def test_rooms_of_grids_of_version_0_3_have_a_form_in_this_one(old, new):
+    assert renew_room(old) == new

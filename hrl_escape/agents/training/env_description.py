@@ -75,12 +75,6 @@ OWN = frozenset({
 })
 """Parts of this package, each imported when it is asked for."""
 
-MOVED = {
-    "hrl_escape.comparison.places:RoomSchedule": "hrl_escape.sets.room_schedule:RoomSchedule",
-    "hrl_escape.ladder.instance_set:InstanceSetEnv": "hrl_escape.sets.instance_set:InstanceSetEnv",
-}
-"""Names of parts in the frozen runs of trained agents that come with the package, whose hashes cover them."""
-
 _COMPUTING = (
     standard.AddRenderObservation, standard.AddWhiteNoise, standard.AtariPreprocessing, standard.Autoreset,
     standard.ClipAction, standard.ClipReward, standard.DelayObservation, standard.DiscretizeAction,
@@ -380,7 +374,6 @@ def name_part(part: Any) -> str:
 
 def find_part(name: Any) -> Callable[[], Any] | None:
     """Loader of the part of a name; None where the name is not known. Nothing is imported to answer."""
-    name = MOVED.get(name, name) if isinstance(name, str) else name
     return next((load for known, load in _list_parts() if known == name), None)
 
 
