@@ -270,7 +270,7 @@ def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
 
 
 def _count_rooms(line: BaselineRun) -> int:
-    found = re.search(r"train\[:(\d+)\]", line.rooms)
+    found = re.search(r"train#0\.\.(\d+)", line.rooms)
     assert found is not None
     return int(found[1])
 

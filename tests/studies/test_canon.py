@@ -57,7 +57,7 @@ def make_lines(efficiency: Callable[[str, str], float], kinds: tuple[str, ...] =
         for agent in (*REFERENCES, *LEARNERS):
             if kind == PAIR or agent in REFERENCES or efficiency(agent, PAIR):
                 mean, number = efficiency(agent, kind), (best or {}).get(agent, 1) if agent in LEARNERS else 0
-                lines += [make_run(agent, number, f"{kind}/test[{room}]",
+                lines += [make_run(agent, number, f"{kind}/test#{room}",
                                    float(np.clip(mean + 0.03 * rng.normal(), 0, 1)) if mean else 0.0)
                           for room in range(rooms)]
     return lines
@@ -106,7 +106,7 @@ def test_a_canon_below_the_searcher_is_told_so():
 
 def test_a_gain_in_one_room_of_twenty_is_no_gain():
     lines = make_lines(change({MODEL: 0.7, **dict.fromkeys(SEARCH_BASELINES, 0.7)}))
-    lucky = [run if run.agent != MODEL or run.room != f"{FIVE}/test[3]" else make_run(MODEL, 1, run.room, 1.0)
+    lucky = [run if run.agent != MODEL or run.room != f"{FIVE}/test#3" else make_run(MODEL, 1, run.room, 1.0)
              for run in lines]
     assert "No learner is shown to beat" in tell(lucky)
 
@@ -214,8 +214,8 @@ def test_what_being_told_the_graph_brings_is_a_sentence_of_its_own():
 
 def test_learners_of_fewer_rooms_are_held_against_others_in_these_rooms_alone():
     """From the eleventh room on, which one learner is not run in, nothing escapes, neither searchers nor others."""
-    lines = [dataclasses.replace(line, efficiency=0.0, escapes=0.0) if "/test[1" in line.room and "[1]" not in line.room
-             else line for line in make_lines(change({MODEL: 0.97, DAC: 0.85}), rooms=20)]
+    lines = [dataclasses.replace(line, efficiency=0.0, escapes=0.0)
+             if "/test#1" in line.room and not line.room.endswith("#1") else line for line in make_lines(change({MODEL: 0.97, DAC: 0.85}), rooms=20)]
     page = tell([line for line in lines if line.agent != DAC or line.efficiency])
     assert "Mean efficiency over 20 rooms of each kind, or as many as stand in brackets:" in page
     some = tell([line for line in lines if line.kind == PAIR or int(re.findall(r"\[(\d+)", line.room)[0]) < 10])
@@ -238,7 +238,7 @@ def test_kinds_that_lack_runs_are_left_out_and_named():
 def test_waits_are_medians_over_all_rooms_and_those_that_never_end_are_counted():
     waits = iter([*range(100, 1000, 100), *[None] * 11])  # nine of twenty
     lines = [dataclasses.replace(line, first_escape=next(waits), seconds=4.0)
-             if line.agent == MODEL and "/test[" in line.room else line for line in make_lines(usual)]
+             if line.agent == MODEL and "/test#" in line.room else line for line in make_lines(usual)]
     (row,) = [line for line in tell(lines).splitlines() if line.startswith(f"| `{MODEL}` | defaults")]
     assert row.endswith("| 0.50 | 100% | not in half (9 of 20) | not in half (0 of 20) | 4.0 |")
     early = [dataclasses.replace(line, first_escape=50) if line.first_escape is None else line for line in lines]
@@ -269,7 +269,7 @@ def test_settings_are_those_of_the_best_mean_trial_then_of_the_quickest():
 
 def test_runs_with_other_settings_than_the_chosen_do_not_count():
     lines = make_lines(usual, best={MODEL: 2})
-    stray = [make_run(MODEL, 1, f"{kind}/test[{room}]", 1.0) for kind in (PAIR, FIVE) for room in range(10)]
+    stray = [make_run(MODEL, 1, f"{kind}/test#{room}", 1.0) for kind in (PAIR, FIVE) for room in range(10)]
     assert "No learner is shown" in tell([*lines, *stray])
 
 
@@ -312,7 +312,7 @@ def test_real_runs_have_the_chosen_settings_and_are_not_made_twice(tmp_path: Pat
     study.analysis.measure(study, args, store)
     planner, model = [line for line in store.load() if line not in trials]
     assert [(line.agent, line.candidate, line.primitives, line.room) for line in (planner, model)] == [
-        ("oracle", 0, 0, f"{PAIR}/test[0]"), (MODEL, 2, 400, f"{PAIR}/test[0]")]
+        ("oracle", 0, 0, f"{PAIR}/test#0"), (MODEL, 2, 400, f"{PAIR}/test#0")]
     assert planner.efficiency == planner.escapes == 1 and 0 < model.first_escape <= 400 and model.seconds > 0
     text = store.path.read_text()
     study.analysis.measure(study, args, store)
@@ -323,9 +323,9 @@ def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_other
     study, args = run(tmp_path, agents=(MODEL, "oracle"), kinds=(FIVE,), rooms=1)
     store = open_store(study, args.docs)
     trials = [line for line in make_trials() if line.agent == MODEL]
-    store.add([*trials, *(make_run(MODEL, 1, f"{PAIR}/test[{room}]", 0.0, 500) for room in range(10))])
+    store.add([*trials, *(make_run(MODEL, 1, f"{PAIR}/test#{room}", 0.0, 500) for room in range(10))])
     study.analysis.measure(study, args, store)
-    assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test[")} == {"oracle"}
+    assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test#")} == {"oracle"}
 
 
 def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path: Path):
@@ -336,8 +336,8 @@ def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path
     store = open_store(study, args.docs)
     store.add([line for line in make_trials() if line.agent in args.agents])
     study.analysis.measure(study, args, store)
-    assert [(line.agent, line.room) for line in store.load() if "/test[" in line.room] == [
-        *((agent, f"{PAIR}/test[0]") for agent in ("smdp-dqn", MODEL)), (MODEL, f"{PAIR}/test[1]")]
+    assert [(line.agent, line.room) for line in store.load() if "/test#" in line.room] == [
+        *((agent, f"{PAIR}/test#0") for agent in ("smdp-dqn", MODEL)), (MODEL, f"{PAIR}/test#1")]
 
 
 @pytest.mark.nightly
@@ -346,7 +346,7 @@ def test_a_learner_is_not_run_where_it_cannot_be(tmp_path: Path):
     store = open_store(study, args.docs)
     store.add([line for line in make_trials() if line.agent == "hiro+learned"])
     study.analysis.measure(study, args, store)
-    assert {line.agent for line in store.load() if "/test[" in line.room} == {"oracle"}
+    assert {line.agent for line in store.load() if "/test#" in line.room} == {"oracle"}
 
 
 def test_agents_and_kinds_that_are_unknown_are_named(tmp_path: Path):

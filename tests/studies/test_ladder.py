@@ -99,7 +99,7 @@ def test_calibration_tells_what_the_lines_say(references: dict, learner: list, n
     assert not [words for words in told if words not in page], page
     assert "Open, for want of runs" not in page
     assert "Open, for want of runs: `top`." in tell(lines, (*RUNGS, "top"), noisy)
-    page = tell([line for line in lines if not line.rooms.endswith("[9]")], RUNGS)
+    page = tell([line for line in lines if not line.rooms.endswith("#9")], RUNGS)
     assert "**Calibration**" not in page and "Ladder score" not in page, "nine rooms are too few"
 
 
@@ -263,7 +263,7 @@ def test_learners_are_held_against_the_best_searcher(learner: float, nearest: fl
 
 @pytest.mark.nightly
 def test_who_plays_as_chance_does_is_said_to_have_no_model():
-    lines = [dataclasses.replace(LINE, rung=RUNGS[0], rooms=f"test[{room}]", agent=agent, primitives=primitives,
+    lines = [dataclasses.replace(LINE, rung=RUNGS[0], rooms=f"test#{room}", agent=agent, primitives=primitives,
                                  efficiency=0.1 + 0.01 * room, escapes=0.4)
              for agent, primitives in ((CHANCE, 0), ("smdp-dqn", 1_000)) for room in range(10)]
     said = f"`smdp-dqn` has no model on `{RUNGS[0]}`: after training it plays every episode as `{CHANCE}"
