@@ -158,8 +158,12 @@ class OldFormatError(FileReadError):
     """A file is of version 0.3; the message names the command that converts it."""
 
     def __init__(self, path: object, what: str) -> None:
-        super().__init__(f"{path}: this {what} is of version 0.3. `hrl-escape convert {path}` writes it in the form of "
-                         "this version")
+        self.message = (f"{path}: this {what} is of version 0.3. `hrl-escape convert {path}` writes it in the form of "
+                        "this version")
+        super().__init__(self.message)
+
+    def __str__(self) -> str:
+        return self.message  # an OSError of two arguments would show a number and a text
 
 
 class PluginError(EscapeError, ImportError):

@@ -82,6 +82,8 @@ def _convert_games(path: Path, out: Path) -> str | None:
         if isinstance(lines[-1], dict) and "score" in lines[-1]:
             try:
                 games.append(_convert_game(lines))
+            except VerificationError:
+                raise
             except (AttributeError, KeyError, TypeError, ValueError) as error:
                 raise FileReadError(f"{path}, game that ends in line {number}: {error}") from error
             lines = []

@@ -29,7 +29,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
 from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
-from hrl_escape.text.words import clean, number_options, place, tell_changes, tell_room
+from hrl_escape.text.words import clean, list_option_names, place, tell_changes, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 """Looks that are free between two moves; most repeats of a primitive; characters of a wrong value that are kept."""
@@ -139,7 +139,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         instance = self.instance
         if seed is not None or instance.id != self._room_id:
             self.transcript, self.seed = [], seed
-        self._names = number_options(self.env.options)
+        self._names = list_option_names(self.env.options)
         first = self.env.primitive_count
         self._actions = {name: first + number for name, number in self._names.items()}
         self._primitives = {clean(name): number for number, name in enumerate(self.env.action_names[:first])}

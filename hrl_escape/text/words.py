@@ -38,7 +38,7 @@ def quote(name: str) -> str:
     return f'"{clean(name)}"'
 
 
-def number_options(options: Sequence[Option]) -> dict[str, int]:
+def list_option_names(options: Sequence[Option]) -> dict[str, int]:
     """Name, cleaned, to number of the option; options of targets that the room lacks are left out."""
     named: dict[str, int] = {}
     for number, option in enumerate(options):

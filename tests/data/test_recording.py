@@ -64,7 +64,7 @@ def empty_one(counts: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(("recording", "words"), [
     (lambda: change(about={**make_recording().about, "engine": "mujoco"}), "its engine is 'mujoco'.*replays 'bullet'"),
     (lambda: change(about={**make_recording().about, "dynamics": "EscapeRoom-v0"}), "EscapeRoom-v0.*EscapeRoom-v1"),
-    (lambda: change(about={**make_recording().about, "format": 2}), "its format is 2"),
+    (lambda: change(about={**make_recording().about, "format": 3}), "its format is 3"),
     (lambda: change(action=make_recording().action[:-1]), "durations stand for"),
     (lambda: change(action=np.append(make_recording().action, np.int8(0))), "durations stand for"),
     (lambda: change(option=make_recording().option[:-1]), "different lengths"),

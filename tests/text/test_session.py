@@ -388,4 +388,4 @@ def test_letters_that_look_like_others_are_shown_by_their_number(alike: str):
     shown = alike.encode("ascii", "backslashreplace").decode()
     names = session.tools()[0]["inputSchema"]["properties"]["option"]["enum"]
     assert said.isascii() and f'"place-{shown}" at (' in said and '"place-pad" at (' in said
-    assert {f"{verb} place-{name}" for verb in ("grip", "release") for name in ("pad", shown, "pan")} <= set(names)
+    assert {f"{verb}-place-{name}" for verb in ("grip", "release") for name in ("pad", shown, "pan")} <= set(names)
