@@ -57,8 +57,8 @@ MUTATIONS = [
     Mutation(
         "the learned share is a share of the way to the planner",
         "comparison/protocols.py",
-        "return (efficiency - searcher) / (ceiling - searcher) if",
-        "return (efficiency - searcher) / (1.0 - searcher) if",
+        "return (efficiency - search) / (bayes - search) if",
+        "return (efficiency - search) / (1.0 - search) if",
         "comparison/test_ladder_score.py",
     ),
     Mutation(
