@@ -95,11 +95,11 @@ def write_page(records: Sequence[Record]) -> tuple[str, list[str]]:
 
 
 def conclude(rows: Sequence[Row]) -> str:
-    """Sentence on a rung: whether its best agent is shown to be better than the best searcher that learns nothing."""
+    """Sentence on a rung: whether its best agent is shown to be better than the best search baseline."""
     floors = [row for row in rows if row.agent in BY_LIGHTS]
     others = [row for row in rows if row.agent not in REFERENCES]
     if not floors or not others:
-        return "No agent stands beside a searcher that learns nothing yet."
+        return "No search baseline was run yet."
     floor, best = (max(some, key=lambda row: row.score.value) for some in (floors, others))
     ceiling = [row.score.value for row in rows if row.agent == BAYES]
     bar = f"{floor.score.value:.2f} of {floor.name}, which learns nothing"

@@ -4,11 +4,11 @@
     python -m benchmarks.references measure ladder-2 --rung depth-1 depth-2
     python -m benchmarks.references choose benchmarks/ladder-2.toml
 
-To measure is to play an episode in each of the first test rooms: random choices, the searchers that learn nothing, the
+To measure is to play an episode in each of the first test rooms: random choices, the search baselines, the
 planner, and `bayes` where all graphs can be listed. What was measured before is kept.
 
 To choose is to go along each axis of a profile, whose candidates stand from easy to hard, and to measure its yardstick
-in rooms that are in no set: the best of the searchers, or random moves. Rung by rung the candidate is taken whose
+in rooms that are in no set: the best search baseline, or random moves. Rung by rung the candidate is taken whose
 efficiency is nearest to the next of the targets. No learner is looked at. Measured efficiencies stay in
 `NAME-calibration.json` beside the file; the manifest is `python -m benchmarks.ladder freeze`'s.
 """
@@ -103,15 +103,15 @@ def measure_rung(rung: Rung, rooms: int) -> RungReferences:
     """References in the first test rooms."""
     tested, puzzle = rung.test[:rooms], rung.config.puzzle
     found = {agent: play(agent, tested) for agent in (CHANCE, *BY_LIGHTS, ORACLE)}
-    searcher, by = max((value, name) for name in BY_LIGHTS if (value := found[name]) is not None)
-    ceiling = told = hidden = None
+    search, by = max((value, name) for name in BY_LIGHTS if (value := found[name]) is not None)
+    bayes = told = hidden = None
     if isinstance(puzzle, ButtonsConfig):
         try:
             told, hidden = (round(bits, 3) for bits in measure_information(puzzle, tested))
-            ceiling = play(BAYES, tested)
+            bayes = play(BAYES, tested)
         except UnsupportedError:
             pass  # too many graphs, of which bayes would play by a sample
-    return RungReferences(found[CHANCE] or 0.0, searcher, by, found[ORACLE] or 0.0, ceiling, told, hidden)
+    return RungReferences(found[CHANCE] or 0.0, search, by, found[ORACLE] or 0.0, bayes, told, hidden)
 
 
 def measure(args: Measure) -> int:

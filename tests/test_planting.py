@@ -168,7 +168,7 @@ for name, many in (("one", EscapeRoomEnv("paper-one-button", observation="featur
                    ("many", EscapeRoomVectorEnv(4, "paper-one-button", observation="features"))):
     done = train("mellow-dqn", many, primitives=120, settings=small, eval_episodes=1)
     said[name] = [done.primitives, done.agent.settings.n_step, done.agent.values.learner.updates,
-                  len(list_recipes("smdp-mellow-dqn")["corrected"].to_dict())]
+                  len(list_recipes("smdp-mellow-dqn")["default"].to_dict())]
 call("solve", "--set", "puzzle.kind=toggles", "--room", "custom#1")
 env = EscapeRoomEnv("paper-one-button", observation="compass")
 said["first"] = [env.observation_space.shape, env.reset(seed=0)[0].tolist()]

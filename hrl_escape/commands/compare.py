@@ -244,7 +244,7 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
         console.print(Text(f"{mark} ", style="dim").append_text(_mark(sentence.text)))
     table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1))
     table.add_column("agent", no_wrap=True)
-    for heading in ("efficiency", "95 % interval", "progress", "escapes", "primitives", "first escape"):
+    for heading in ("efficiency", "95 % interval", "progress", "success rate", "primitives", "first escape"):
         table.add_column(heading, justify="right", no_wrap=True)
     for agent in summary.agents:
         table.add_row(make_console_text(agent.label), f"{agent.efficiency.value:.3f}",

@@ -209,7 +209,7 @@ def _tell(args: TrainArgs, spec: AgentSpec, result: TrainResult, best: float | N
         return
     console = Console(soft_wrap=True, highlight=False)
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
-    for heading in ("primitives", "decisions", "return", "escapes", "primitives an episode"):
+    for heading in ("primitives", "decisions", "return", "success rate", "primitives an episode"):
         table.add_column(heading, justify="right")
     evaluations = result.evaluations
     step = max(1, -(-len(evaluations) // SHOWN_EVALUATIONS))

@@ -63,7 +63,7 @@ class Monitor:
     def finish(self, run: GridRun, result: RunResult) -> None:
         """Show a finished run."""
         self.results.append((run, result))
-        self._say(run, f"efficiency {result.get_final('efficiency'):.3f}, escapes "
+        self._say(run, f"efficiency {result.get_final('efficiency'):.3f}, success rate "
                         f"{result.get_final('success_rate'):.0%}, {result.get_final('mean_length'):.0f} primitives an "
                         "episode", "green")
 

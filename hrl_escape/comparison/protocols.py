@@ -32,14 +32,14 @@ LEAST_HEADROOM = 0.05
 """Least efficiency between search baseline and Bayes planner for which the learned share is given."""
 
 
-def compute_learned_share(efficiency: float, searcher: float, ceiling: float) -> float | None:
+def compute_learned_share(efficiency: float, search: float, bayes: float) -> float | None:
     """Place on the scale from the best search baseline (0) to the Bayes planner, `bayes` (1), in efficiency.
 
     The Bayes planner is given how rooms are drawn and what marks mean, and discovers the graph; the baseline is not
     given the room configuration. Below 0 for an agent worse than the baseline, above 1 for one better than the Bayes
     planner; None where less than `LEAST_HEADROOM` is between the two.
     """
-    return (efficiency - searcher) / (ceiling - searcher) if ceiling - searcher >= LEAST_HEADROOM else None
+    return (efficiency - search) / (bayes - search) if bayes - search >= LEAST_HEADROOM else None
 
 
 def compute_ladder_score(rungs: Sequence[Scores], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:
@@ -81,8 +81,8 @@ FLOOR_ROOMS = 10
 """Rooms of each floor of a tower to be tested in, by default."""
 EVALUATIONS = 5
 """Evaluations in a run after the first."""
-PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
-"""A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
+PASSED_RATE, PASSED_EFFICIENCY = 0.9, 0.5
+"""A rung is passed with a success rate above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
 
 
@@ -222,24 +222,24 @@ class RungStanding(NamedTuple):
 
     rung: str  # name of the rung
     agent: AgentSummary  # its summary
-    escapes: Estimate
+    success_rate: Estimate
     """Share of final test episodes that escaped, with Wilson's interval over all of them."""
     is_passed: bool  # the rung is passed, see `judge`
     units: Scores
     """Efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others."""
-    floors: int = 1  # number of floors of a tower, of which the escapes are the share climbed; 1 on a rung
+    floors: int = 1  # number of floors of a tower, of which the success rate is the share climbed; 1 on a rung
     learned: float | None = None
-    """Share of what could be learned across rooms, see `compute_learned_share`; None where searchers and `bayes`
+    """Share of what could be learned across rooms, see `compute_learned_share`; None where search baselines and `bayes`
     were not run on the rung, or are alike."""
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[Estimate, bool]:
-    """Share of escapes with Wilson's interval over the episodes, and whether the rung is passed.
+    """Success rate with Wilson's interval over the episodes, and whether the rung is passed.
 
     It is with the interval's lower end at 0.9 or above and an interquartile mean of efficiency of 0.5 or above.
     """
-    escapes = Estimate(agent.success.value, *compute_wilson_interval(agent.success.value, episodes))
-    return escapes, escapes.low >= PASSED_ESCAPES and agent.efficiency.value >= PASSED_EFFICIENCY
+    rate = Estimate(agent.success.value, *compute_wilson_interval(agent.success.value, episodes))
+    return rate, rate.low >= PASSED_RATE and agent.efficiency.value >= PASSED_EFFICIENCY
 
 
 def list_standings(rung: str, summary: Summary) -> list[RungStanding]:

@@ -36,7 +36,7 @@ class Sentence:
 
 def write_verdict(summary: Summary) -> list[Sentence]:
     """Write the verdict: one headline, then findings, then cautions."""
-    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_searchers(summary),
+    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_search(summary),
                 *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
                 *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
     return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
@@ -159,8 +159,8 @@ def _compare_with_chance(summary: Summary) -> list[str]:
         if _beats(summary, best, chance):
             both = min(chance.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
-            searchers = _list_searchers(summary)
-            adds = "Learning adds to it: " if searchers and _beats(summary, best, find_leader(searchers)) else ""
+            baselines = _list_search_baselines(summary)
+            adds = "Learning adds to it: " if baselines and _beats(summary, best, find_leader(baselines)) else ""
             sentences.append(f"{start} {adds}`{best.label}` {gain}.")
         elif _beats(summary, chance, best):
             sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_escapes(best)}.")
@@ -173,27 +173,27 @@ def _compare_with_chance(summary: Summary) -> list[str]:
     return sentences
 
 
-def _list_searchers(summary: Summary) -> list[AgentSummary]:
+def _list_search_baselines(summary: Summary) -> list[AgentSummary]:
     """Search baselines, which are given nothing of what learners must learn."""
     return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
 
 
-def _compare_with_searchers(summary: Summary) -> list[str]:
+def _compare_with_search(summary: Summary) -> list[str]:
     """Learners over options or hierarchies against the best search baseline."""
     learners = [agent for agent in summary.agents
                 if (agent.spec.chooses_options or agent.spec.low_level) and agent.spec.learns]
-    searchers = _list_searchers(summary)
-    if not learners or not searchers:
+    baselines = _list_search_baselines(summary)
+    if not learners or not baselines:
         return []
-    best, searcher = find_leader(learners), find_leader(searchers)
-    rule = references.describe_rule(searcher.spec.name)
-    name = "search baseline" if len(searchers) == 1 else "best search baseline"
-    start = (f"The {name}, `{searcher.label}`, {_describe_escapes(searcher)}. It {rule}, and starts every episode anew")
-    if _beats(summary, best, searcher):
+    best, baseline = find_leader(learners), find_leader(baselines)
+    rule = references.describe_rule(baseline.spec.name)
+    name = "search baseline" if len(baselines) == 1 else "best search baseline"
+    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and starts every episode anew")
+    if _beats(summary, best, baseline):
         return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
-    if _beats(summary, searcher, best):
+    if _beats(summary, baseline, best):
         return [f"{start}; no learner matches that."]
-    return [f"{start}. Best learner against it: {_describe_even(summary, best, searcher)}."]
+    return [f"{start}. Best learner against it: {_describe_even(summary, best, baseline)}."]
 
 
 def _name_rooms(summary: Summary) -> str:

@@ -16,11 +16,11 @@ _FOLDER = Path(str(files("hrl_escape.ladder") / "data" / "references"))
 class RungReferences:
     """Mean efficiencies in the test rooms of a rung."""
 
-    chance: float  # of random choices among the options
-    searcher: float  # of the best searcher that learns nothing
+    random: float  # of the random policy over options
+    search: float  # of the best search baseline
     by: str  # its name
     oracle: float  # of the planner, which knows the graph; below 1 only where presses fail by chance
-    ceiling: float | None = None  # of `bayes`, which knows how rooms are drawn; None where graphs cannot be listed
+    bayes: float | None = None  # of the Bayes planner; None where graphs cannot be listed
     told: float | None = None  # bits of the hidden graph that marks and places tell; None where graphs cannot be listed
     hidden: float | None = None  # bits of the hidden graph
 

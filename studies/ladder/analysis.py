@@ -20,7 +20,7 @@ from hrl_escape.comparison.inference import (
     compute_wilson_interval,
     correct_by_holm,
 )
-from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, compute_ladder_score, get_budget
+from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_RATE, TOWER, compute_ladder_score, get_budget
 from hrl_escape.comparison.references.registry import SEARCH_BASELINES
 from hrl_escape.comparison.reporting.figures import SPARE
 from hrl_escape.comparison.statistics import LEAST_RUNS
@@ -88,7 +88,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
     alone = _part([line for line in lines if line.protocol == "per-instance"])
     over = group_runs(alone.get("Over options", ()))
     return Page({
-        "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
+        "PASSED_RATE": PASSED_RATE, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
         "SEQUENCE_HORIZON": SEQUENCE_HORIZON,
         "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
         "advice": tell_bar(over, rungs), "blank": tell_blank(over, rungs),
@@ -310,7 +310,7 @@ def _is_shown(runs: Sequence[BaselineRun]) -> bool:
 
 def _is_mastered(runs: Sequence[BaselineRun]) -> bool:
     """Return whether the numbers themselves pass, however few they are."""
-    return (float(np.mean([run.escapes for run in runs])) >= PASSED_ESCAPES
+    return (float(np.mean([run.escapes for run in runs])) >= PASSED_RATE
             and compute_run_efficiency(runs) >= PASSED_EFFICIENCY)
 
 
@@ -318,7 +318,7 @@ def _is_passed(runs: Sequence[BaselineRun]) -> bool:
     """Return whether so many runs are enough to be sure; episodes in one room are one try."""
     tries = len(runs) if runs[0].protocol == "per-instance" else sum(run.episodes for run in runs)
     low, _ = compute_wilson_interval(float(np.mean([run.escapes for run in runs])), tries)
-    return _is_mastered(runs) and float(low) >= PASSED_ESCAPES
+    return _is_mastered(runs) and float(low) >= PASSED_RATE
 
 
 def _find_highest(cells: _Cells, agent: str, rungs: Sequence[str]) -> str | None:

@@ -109,7 +109,7 @@ def compare_everyone(cells: Cells, axes: Sequence[AxisRecord], learners: Sequenc
         cells: efficiencies.
         axes: those to compare on.
         learners: names.
-        searcher: agent whose efficiency on each rung is that of the best searcher there.
+        searcher: agent whose efficiency on each rung is that of the best search baseline there.
 
     Returns:
         (axis, first agent, second agent) -> gain, both ways round between learners.
@@ -163,11 +163,11 @@ def tell_leads(gains: Mapping[tuple[str, str, str], Gain], axes: Sequence[str], 
 
 def tell_searching(gains: Mapping[tuple[str, str, str], Gain], axes: Sequence[str], names: Mapping[str, str],
                    searcher: str) -> str:
-    """A sentence: the axes on which a learner is shown to beat the best searcher, and those on which all lose to it."""
+    """A sentence: axes on which a learner is shown to beat the best search baseline, and those on which all lose."""
     won = [axis for axis in axes if any(gains[axis, learner, searcher].is_shown for learner in names)]
     lost = [axis for axis in axes if all(gains[axis, searcher, learner].is_shown for learner in names)]
-    told = f"On {join_words(won)} some learner beats the best searcher, which starts anew in each episode" if won else (
-        "On no axis is a learner shown to beat the best searcher, which starts anew in each episode")
+    told = f"On {join_words(won)} some learner beats the best search baseline, which starts anew in each episode" if (
+        won) else ("On no axis is a learner shown to beat the best search baseline, which starts anew in each episode")
     return f"{told}{f'; on {join_words(lost)} all learners are below it' if lost else ''}."
 
 
@@ -239,7 +239,7 @@ def _shift(before: NDArray[np.float64], after: NDArray[np.float64], tests: int) 
 
 
 def tell_upper(cells: Cells, axes: Sequence[AxisRecord], searcher: str) -> str:
-    """A sentence: the axes on which the best searcher is below `SEARCHED` on every rung of the upper half.
+    """A sentence: the axes on which the best search baseline is below `SEARCHED` on every rung of the upper half.
 
     Of three rungs the middle one belongs to it.
     """
@@ -247,8 +247,8 @@ def tell_upper(cells: Cells, axes: Sequence[AxisRecord], searcher: str) -> str:
             if all(cells[searcher, rung].mean() < SEARCHED for rung in axis.rungs[len(axis.rungs) // 2:])]
     rest = [axis.name for axis in axes if axis.name not in hard]
     if not hard:
-        return f"On no axis does the best searcher stay below {SEARCHED:g} on the upper half of the rungs."
-    told = f"On the upper half of {join_words(hard)} the best searcher stays below {SEARCHED:g}"
+        return f"On no axis does the best search baseline stay below {SEARCHED:g} on the upper half of the rungs."
+    told = f"On the upper half of {join_words(hard)} the best search baseline stays below {SEARCHED:g}"
     return f"{told}{f'; on that of {join_words(rest)} it does not' if rest else ''}."
 
 
@@ -286,21 +286,21 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
               if (own := [axis for axis in axes if axis.name in other["axes"]])]
     everyone: dict[str, str] = names | {agent: name for other, _ in others for agent, name in other["agents"].items()}
     rungs = [rung for axis in axes for rung in axis.rungs]
-    searcher = "best searcher"
+    searcher = "best search baseline"
     best = {rung: max((cells[agent, rung] for agent in searchers), key=np.mean) for rung in rungs}
     cells |= {(searcher, rung): values for rung, values in best.items()}
     gains, order = compare_everyone(cells, axes, list(names), searcher), [axis.name for axis in axes]
     efficiencies = {name: {rung: float(cells[agent, rung].mean()) for rung in rungs if (agent, rung) in cells}
                     for agent, name in everyone.items()}
     efficiencies[searcher] = {rung: float(values.mean()) for rung, values in best.items()}
-    efficiencies["bayes"] = list_references(load_references(bench.name)).get("bayes", {})
+    efficiencies["Bayes planner"] = list_references(load_references(bench.name)).get("Bayes planner", {})
     profiles, falls = make_profiles(axes, efficiencies), find_falls(cells, axes, everyone)
     headline = tell_leads(gains, order, names)
     sentences = [tell_searching(gains, order, names, searcher), tell_falls(falls, axes),
                  *(tell_others(cells, own, names, other["agents"], other["words"]) for other, own in others),
                  tell_upper(cells, axes, searcher), tell_tops(cells, axes, list(names))]
     marks = {(everyone[agent], axis): " ↓" for agent, axis in falls}
-    columns = [([*names.values(), searcher, "bayes"], axes),
+    columns = [([*names.values(), searcher, "Bayes planner"], axes),
                *((list(other["agents"].values()), own) for other, own in others)]
     tables = [make_table(["axis", *shown], [[axis.name, *(
         f"{profiles[name].get(axis.name, '-')}{marks.get((name, axis.name), '')}" for name in shown)] for axis in rows])

@@ -64,7 +64,7 @@ def test_an_episode_plays_itself_and_leaves_no_recorder():
     assert planned.success and -planned.total + 100 == len(planned.states) - 1
     assert record_episode("search-nearest", env).success
     with pytest.raises(UnknownNameError, match="search-nearest"):
-        record_episode("smdp-untried-nearst", env)
+        record_episode("search-nearst", env)
     with pytest.raises(UnsupportedError, match="no room"):
         record_episode(agent, gymnasium.make("Taxi-v4"))
 

@@ -34,7 +34,7 @@ VARIED = dataclasses.replace(SCHEMATIC, horizon=60,
 def finished(tmp_path_factory) -> Comparison:
     folder = tmp_path_factory.mktemp("split")
     InstanceSet("ten", VARIED, range(10)).save(folder / "ten.json")
-    agents = ("random-options", "smdp-dqn+objects+memory", "oracle")
+    agents = ("random-options+primitives", "smdp-dqn+objects+memory+primitives", "oracle")
     grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json#0..4",),
                 test_rooms=(f"{folder}/ten.json#4..7",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
                 observation="objects")

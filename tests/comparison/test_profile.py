@@ -27,18 +27,19 @@ def test_an_axis_has_a_value_once_all_its_rungs_were_run():
 def test_references_are_columns_of_their_own():
     found = list_references({"depth-1": RungReferences(0.3, 0.8, "search-random", 1.0, 0.9),
                              "arm-1": RungReferences(0.1, 0.2, "search-backtrack", 1.0)})
-    assert found == {"chance": {"depth-1": 0.3, "arm-1": 0.1}, "best searcher": {"depth-1": 0.8, "arm-1": 0.2},
-                     "bayes": {"depth-1": 0.9}}
+    assert found == {"random policy": {"depth-1": 0.3, "arm-1": 0.1},
+                     "best search baseline": {"depth-1": 0.8, "arm-1": 0.2}, "Bayes planner": {"depth-1": 0.9}}
     assert list_references({}) == {}
 
 
 def test_the_radar_draws_each_value_on_its_spoke_and_breaks_where_none_is():
-    profiles = make_profiles(AXES, {"me": {"depth-1": 0.8, "depth-2": 0.6, "arm-1": 0.25}, "chance": {"arm-1": 0.1}})
+    profiles = make_profiles(AXES, {"me": {"depth-1": 0.8, "depth-2": 0.6, "arm-1": 0.25},
+                         "random policy": {"arm-1": 0.1}})
     panel, = draw_radar(profiles, AXES).axes
     lines = {line.get_label(): line for line in panel.get_lines()}
     assert np.allclose(lines["me"].get_xdata(), np.array([0, 1, 2, 0]) * 2 * math.pi / 3)
     assert np.allclose(lines["me"].get_ydata(), [0.7, math.nan, 0.25, 0.7], equal_nan=True)
-    assert lines["chance"].get_color().startswith("#8b") and not lines["me"].get_color().startswith("#8b")
+    assert lines["random policy"].get_color().startswith("#8b") and not lines["me"].get_color().startswith("#8b")
     assert [text.get_text() for text in panel.get_xticklabels()] == ["depth", "noise", "arm"]
 
 

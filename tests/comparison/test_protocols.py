@@ -112,7 +112,7 @@ def test_a_rung_is_passed_with_sure_escapes_and_half_the_efficiency():
     good, poor = [90.0] * 4, [-1000.0] * 4
     summary = summarise(compare({"dqn": [good] * 40, "sarsa": [poor] * 40}))
     passed = {standing.agent.label: standing for standing in list_standings("pair", summary)}
-    assert not passed["sarsa"].is_passed and passed["sarsa"].escapes[0] == 0
+    assert not passed["sarsa"].is_passed and passed["sarsa"].success_rate[0] == 0
     agent = passed["dqn"].agent
     (share, low, high), is_passed = judge(agent, 40)
     assert share == 1.0 and low == pytest.approx(40 / (40 + 1.959964**2), abs=1e-6), "Wilson 1927, all of n"

@@ -20,10 +20,10 @@ def test_nobody_is_above_the_ceiling_and_the_planner_above_all(name: str):
     known = load_references(name)
     assert list(known) == [rung.name for rung in load_benchmark(name) if rung.name in known]
     for rung, own in known.items():
-        assert 0 <= own.chance <= 1 and own.searcher <= own.oracle <= 1, rung
-        if own.ceiling is not None:
-            assert own.searcher <= own.ceiling + 0.03, f"{rung}: best in expectation, played in few rooms"
-            assert own.ceiling <= own.oracle, rung
+        assert 0 <= own.random <= 1 and own.search <= own.oracle <= 1, rung
+        if own.bayes is not None:
+            assert own.search <= own.bayes + 0.03, f"{rung}: best in expectation, played in few rooms"
+            assert own.bayes <= own.oracle, rung
         if own.told is not None and own.hidden is not None:
             assert -1e-9 <= own.told <= own.hidden, rung
 
@@ -39,7 +39,7 @@ def test_the_list_of_rungs_has_their_references(capsys: pytest.CaptureFixture[st
     assert main(["ladder", "list", "--benchmark", "marks-3", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rungs"]
     assert {row["rung"]: row["references"]["searcher"] for row in rows} == {
-        name: own.searcher for name, own in load_references("marks-3").items()}
+        name: own.search for name, own in load_references("marks-3").items()}
     assert main(["ladder", "list", "--benchmark", "marks-3"]) == 0
     assert "6.9 of 6.9" in capsys.readouterr().out
     assert main(["ladder", "list", "--benchmark", "marks-1"]) == 0

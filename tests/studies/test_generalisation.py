@@ -290,9 +290,9 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about():
 
 @pytest.mark.parametrize(("learner", "nearest", "told"), [
     (0.6, 0.8, ("**No learner matches searching in `pair`: ",
-                "reaches 0.20 less than the best searcher, `smdp-untried-near")),
+                "reaches 0.20 less than the best searcher, `search-nearest")),
     (0.8, 0.6, ("**In these rooms of `pair`, training pays beyond searching in 1 of 1 cells: ",
-                "reaches 0.20 more than the best searcher, `smdp-untried-near")),
+                "reaches 0.20 more than the best searcher, `search-nearest")),
     (0.7, 0.7, ("**No learner is shown to beat searching in `pair`: ",
                 "is not shown to reach more or less than the best se"))])
 def test_learners_are_held_against_the_best_searcher_and_not_against_chance(learner: float, nearest: float,

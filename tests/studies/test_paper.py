@@ -250,7 +250,7 @@ def test_a_damaged_run_is_named_by_file_and_line(tmp_path: Path, damage: dict[st
     store = Store(tmp_path / "raw.jsonl", (RawRun,))
     store.add([make_run("dqn", [0.5] * 11)])
     whole = store.path.read_text()
-    store.path.write_text(whole + json.dumps(json.loads(whole) | damage) + "\n")
+    store.path.write_text(whole + json.dumps(json.loads(whole.splitlines()[-1]) | damage) + "\n")
     with pytest.raises(FileReadError, match="raw.jsonl, line 3: this is no result of the study"):
         store.load()
 

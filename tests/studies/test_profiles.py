@@ -76,11 +76,11 @@ def test_a_lead_that_is_shared_is_no_lead(tmp_path: Path):
 @pytest.mark.nightly
 def test_searching_is_beaten_where_some_learner_is_shown_to(tmp_path: Path):
     page = read({(MODEL, "depth"): (0.9,) * 4}, tmp_path)
-    assert ("- On depth some learner beats the best searcher, which starts anew in each episode; on branching and "
-            "violations all learners are below it.") in page
+    assert ("- On depth some learner beats the best search baseline, which starts anew in each episode; on branching "
+            "and violations all learners are below it.") in page
     everyone = read({}, tmp_path, searcher=0.9)
-    assert ("On no axis is a learner shown to beat the best searcher, which starts anew in each episode; on depth, "
-            "branching and violations all learners are below it.") in everyone
+    assert ("On no axis is a learner shown to beat the best search baseline, which starts anew in each episode; on "
+            "depth, branching and violations all learners are below it.") in everyone
 
 
 def test_an_axis_that_gets_easier_is_no_fall(tmp_path: Path):
@@ -133,16 +133,17 @@ def test_nobody_falls_where_rungs_are_alike(tmp_path: Path):
 
 @pytest.mark.nightly
 def test_searching_is_no_answer_where_it_stays_low_on_the_upper_half(tmp_path: Path):
-    told = "On the upper half of depth, branching and violations the best searcher stays below 0.5."
+    told = "On the upper half of depth, branching and violations the best search baseline stays below 0.5."
     assert told in read({}, tmp_path, searcher=0.45)
-    assert "On no axis does the best searcher stay below 0.5 on the upper half" in read({}, tmp_path, searcher=0.55)
+    said = read({}, tmp_path, searcher=0.55)
+    assert "On no axis does the best search baseline stay below 0.5 on the upper half" in said
     half = {(SEARCH_BASELINES[0], "depth"): (0.9, 0.4, 0.6, 0.1),
             (SEARCH_BASELINES[0], "branching"): (0.9, 0.6, 0.4, 0.3),
             (SEARCH_BASELINES[0], "violations"): (0.1, 0.1, 0.1, 0.6)}
-    assert ("On the upper half of branching the best searcher stays below 0.5; on that of depth and violations it does "
-            "not.") in read(half, tmp_path, searcher=0.2)
+    assert ("On the upper half of branching the best search baseline stays below 0.5; on that of depth and violations "
+            "it does not.") in read(half, tmp_path, searcher=0.2)
     arm = next(axis for axis in AXES if axis.name == "arm")
-    for middle, told in ((0.4, "On the upper half of arm"), (0.6, "On no axis does the best searcher stay below")):
+    for middle, told in ((0.4, "On the upper half of arm"), (0.6, "On no axis does the best search baseline stay")):
         lines = make_lines({(SEARCH_BASELINES[0], "arm"): (0.9, middle, 0.3)}, searcher=0.2, axes=(arm,))
         assert told in write_page("profiles", lines, tmp_path)
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import pytest
 
-from hrl_escape.agents.registry import SMDP_PREFIX, get_recipe, list_agents
+from hrl_escape.agents.registry import get_recipe, join_name, list_agents
 from hrl_escape.env.presets import PRESETS
 from studies.tuning import Tuning, load_tuning
 
@@ -16,7 +16,7 @@ RECORD = load_tuning()
 @pytest.mark.parametrize("entry", RECORD, ids=lambda entry: "+".join(entry.agents))
 def test_tuned_defaults_are_those_of_today(entry: Tuning):
     assert set(entry.agents) <= set(list_agents())
-    for agent in (*entry.agents, *(SMDP_PREFIX + agent for agent in entry.agents)):
+    for agent in (*entry.agents, *(join_name(agent, True) for agent in entry.agents)):
         defaults = dataclasses.asdict(get_recipe(agent))
         assert {name: defaults[name] for name in entry.settings} == entry.settings, agent
     assert set(entry.before) <= set(entry.settings)

@@ -176,7 +176,7 @@ def run_report(args: ReportArgs) -> None:
                           "scores": {label: score._asdict() for label, score in scores.items()}}, indent=2))
         return
     console = Console(width=120, highlight=False)
-    table = Table("rung", "agent", "runs", "efficiency", "learned", "trained in", "escapes", "passed",
+    table = Table("rung", "agent", "runs", "efficiency", "learned", "trained in", "success rate", "passed",
                   "core hours",
                   *(("floors climbed",) if args.protocol == TOWER else ()), box=None, pad_edge=False)
     for standing in standings:
@@ -185,7 +185,7 @@ def run_report(args: ReportArgs) -> None:
             standing.rung, agent.label, str(agent.runs),
             f"{agent.efficiency:.3f}",
             "" if standing.learned is None else f"{standing.learned:.2f}",
-            "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{standing.escapes:.0%}",
+            "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{standing.success_rate:.0%}",
             "yes" if standing.is_passed else "no", f"{_count_hours(standing):.2g}",
             *([f"{_count_floors(standing):.2f} of {standing.floors}"] if args.protocol == TOWER else []))
     console.print(table)
@@ -233,7 +233,7 @@ def _count_hours(standing: RungStanding) -> float:
 
 def _count_floors(standing: RungStanding) -> float:
     """Floors of a tower climbed, on average."""
-    return standing.escapes.value * standing.floors
+    return standing.success_rate.value * standing.floors
 
 
 def _make_trial_table(standings: Sequence[RungStanding]) -> Table:
@@ -249,7 +249,7 @@ def _to_json(standing: RungStanding) -> dict[str, object]:
     agent = standing.agent
     return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
             "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
-            "escapes": standing.escapes, "passed": standing.is_passed, "learned": standing.learned,
+            "success_rate": standing.success_rate, "passed": standing.is_passed, "learned": standing.learned,
             "core_hours": _count_hours(standing),
             "trials": [trial._asdict() for trial in agent.trials],
             **({"floors": standing.floors, "climbed": _count_floors(standing)}

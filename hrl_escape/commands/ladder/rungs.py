@@ -71,7 +71,7 @@ def _show_references(own: RungReferences | None) -> list[str]:
     if own is None:
         return []
     told = "" if own.told is None else f"{own.told:.1f} of {own.hidden:.1f}"
-    return [*("" if value is None else f"{value:.2f}" for value in (own.chance, own.searcher, own.ceiling)), told]
+    return [*("" if value is None else f"{value:.2f}" for value in (own.random, own.search, own.bayes)), told]
 
 
 def _estimate(rung: Rung) -> float:

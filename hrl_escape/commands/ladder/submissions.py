@@ -71,7 +71,7 @@ def run_submit(args: SubmitArgs) -> None:
     Examples:
         hrl-escape ladder submit --card my-agent/card.toml --benchmark marks-1 --rung told --out mine.zip
         hrl-escape ladder submit runs/mine --card card.toml --rung chain-3 --out mine.zip
-        hrl-escape ladder submit search-nearest --card card.toml --rung chain-3 --rooms 2 --out searcher.zip
+        hrl-escape ladder submit search-nearest --card card.toml --rung chain-3 --rooms 2 --out search.zip
     """
     from hrl_escape.comparison.submission import (  # loads what plays
         Card,

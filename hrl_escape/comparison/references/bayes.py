@@ -11,7 +11,7 @@ approximation of path lengths. An agent that keeps what it found in earlier epis
 
 Every graph and rule that a room configuration can draw is listed with its exact probability by running the room
 configuration's own generator once for each sequence of outcomes that its draws can have, so that a change to the
-generator is a change here too. Which buttons are lit and which of them agree with all presses so far is the searcher's
+generator is a change here too. Which buttons are lit and which of them agree with all presses so far is the planner's
 belief. A press divides it: the button lights and opens the exit, lights alone, or does not light, after which nothing
 has changed, all is off, or the episode is over. Beliefs (Astrom 1965; Kaelbling, Littman and Cassandra 1998) form a
 graph without cycles where presses are the only news, and one pass backwards gives the optimal expected cost. Graphs too
@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.by_lights import Searcher
+from hrl_escape.comparison.references.by_lights import SearchBaseline
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.kinematics import RoomState
@@ -516,13 +516,13 @@ def split_mistakes(rules: NDArray[np.int64], mistaken: NDArray[np.bool_], lit: i
     return [fails, resets & bool(lit), ignored | resets & (not lit)]
 
 
-# --- the searcher ------------------------------------------------------------------------
+# --- the planner ------------------------------------------------------------------------
 
 _NO_WAY = 1e4
 """Primitives of a way that the planner does not find."""
 
 
-class BayesPlanner(Searcher):
+class BayesPlanner(SearchBaseline):
     """Fewest expected primitives, over the graphs that the room's configuration can draw.
 
     The first decision raises `UnsupportedError` where the puzzle is not of buttons that stay on, or the room

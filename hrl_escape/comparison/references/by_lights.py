@@ -1,9 +1,9 @@
-"""References by rule: rounds of all buttons, searchers that read the lights, and the planner that knows the graph.
+"""References by rule: sweeps of all buttons, search baselines that read the lights, and the oracle.
 
 A round in the order of the buttons' numbers is the score that needs no knowledge of a room; where numbers say nothing
 of the dependency graph, one in an order drawn anew for each episode is as good, but for chance. The planner follows the
-best known plan: the score by which efficiency is measured. Searchers see what every agent over options sees: which
-targets are lit, whether the exit is open, and where things are. What they try is forgotten with the episode, so
+best known plan: the score by which efficiency is measured. Search baselines see what every agent over options sees:
+which targets are lit, whether the exit is open, and where things are. What they try is forgotten with the episode, so
 whatever a learner reaches beyond them it has learned.
 """
 
@@ -94,7 +94,7 @@ class PlanFollower(Reference):
         return int(np.flatnonzero(action_mask)[-1]) if primitive is None else primitive
 
 
-class Searcher(Reference):
+class SearchBaseline(Reference):
     """Base: leaves when the exit is open, and otherwise asks the subclass for one of the options.
 
     Subclasses are told of every press in turn, meant or not, and of every option that changed nothing.
@@ -198,7 +198,7 @@ class Searcher(Reference):
         """One of the legal options that do not leave."""
 
 
-class SearchRandom(Searcher):
+class SearchRandom(SearchBaseline):
     """Presses what is unlit and untried since the lights last changed, in random order.
 
     Where all that is unlit was tried it takes what is lit, and where everything was tried it begins again.
@@ -237,7 +237,7 @@ class SearchNearest(SearchRandom):
         return min(actions, key=lambda action: self._measure(action, state))
 
 
-class SearchBacktrack(Searcher):
+class SearchBacktrack(SearchBaseline):
     """Goes back by known presses to the pattern with the most lights on under which something unlit is untried.
 
     It remembers for each pattern of lights what every action led to, so that after a reset it repeats what worked

@@ -131,7 +131,7 @@ def _finish(axes: Axes) -> None:
 
 # --- profiles: efficiency by ability, on benchmarks that have axes in place of one order of rungs ------
 
-REFERENCE_NAMES = "chance", "best searcher", "bayes"
+REFERENCE_NAMES = "random policy", "best search baseline", "Bayes planner"
 
 
 class AxisScore(NamedTuple):
@@ -158,9 +158,9 @@ def make_profiles(axes: Sequence[AxisRecord], efficiencies: Mapping[str, Mapping
 
 
 def list_references(references: Mapping[str, RungReferences]) -> dict[str, dict[str, float]]:
-    """Efficiencies of chance, of the best searcher that learns nothing, and of `bayes`, by rung."""
+    """Efficiencies of the random policy, of the best search baseline and of the Bayes planner, by rung."""
     columns = [{rung: value for rung, own in references.items() if (value := getattr(own, name)) is not None}
-               for name in ("chance", "searcher", "ceiling")]
+               for name in ("random", "search", "bayes")]
     return dict(zip(REFERENCE_NAMES, columns, strict=True)) if references else {}
 
 

@@ -104,8 +104,8 @@ def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, 
     lines += ["", f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
               "0 without escape, else the fewest primitives known over those taken.", ""]
     seen = "| in rooms trained in " * are_sets
-    lines += [f"| agent | efficiency (IQM, 95 % interval) {seen}| progress | escapes (Wilson) | primitives an episode "
-              "| first escape | return score | stuck runs | missing: options + learning |",
+    lines += [f"| agent | efficiency (IQM, 95 % interval) {seen}| progress | success rate (Wilson) "
+              "| primitives an episode | first escape | return score | stuck runs | missing: options + learning |",
               "|---|---|---|---|---|---|---|---|---|" + "---|" * are_sets]
     lines += [_make_line(agent, are_sets) for agent in summary.agents]
     cautions = [f"- {sentence.text}" for sentence in verdict if sentence.kind == "caution"]

@@ -22,7 +22,7 @@ from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.episodes import PrimitiveStep
-from hrl_escape.comparison.references.by_lights import Searcher
+from hrl_escape.comparison.references.by_lights import SearchBaseline
 from hrl_escape.comparison.solved_probe import find_target_edges
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
@@ -148,7 +148,7 @@ class ObservedChoice:
     meaning: str  # meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values
     state_value: float | None  # V(s) of the critic, or the highest legal Q; None if the agent has neither
     state: RoomState  # state of the room
-    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)  # what a searcher knows of each press, by action
+    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)  # on each press, of a search baseline, by action
 
 
 class CompletedDecision(NamedTuple):
@@ -244,7 +244,7 @@ class Watch:
         if shown is None:
             shown, meaning = agent.compute_preferences(observation), "preference"
         values, meaning = (None, "") if shown is None else (np.array(shown), meaning)
-        notes = agent.describe_presses() if isinstance(agent, Searcher) else {}
+        notes = agent.describe_presses() if isinstance(agent, SearchBaseline) else {}
         return ObservedChoice(int(action), mask.copy(), values, "note" if notes else meaning, state_value,
                               self.states[-1], notes)
 

@@ -102,7 +102,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     told = json.loads(out)
     assert code == 0 and told["highest"] == {"random-options": "none", "oracle": "none"}
     planner = next(row for row in told["rungs"] if row["agent"] == "oracle")
-    assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
+    assert planner["efficiency"]["value"] == 1.0 and planner["success_rate"][0] == 1.0 and not planner["passed"]
     assert all(row["core_hours"] >= 0 for row in told["rungs"])
     assert told["score_rungs"] == ["doormat"] and told["scores"]["oracle"]["value"] == 1.0
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
