@@ -24,10 +24,8 @@ from dataclasses import dataclass, field
 from functools import reduce
 from typing import Annotated, Any, Literal
 
-from typing_extensions import Self
-
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.hierarchy_kinds import find_kind, list_privileges
+from hrl_escape.agents.hierarchy_kinds import LowLevel, find_kind, list_privileges
 from hrl_escape.agents.old_specs import refuse_old
 from hrl_escape.agents.registry import (
     DEFAULT_RECIPE,
@@ -163,7 +161,7 @@ class AgentSpec(Settings):
             object.__setattr__(self, "label", str(self))
 
     @classmethod
-    def parse(cls, agent: str | AgentSpec | type[Agent] | Agent) -> Self:
+    def parse(cls, agent: str | AgentSpec | type[Agent] | Agent) -> AgentSpec:
         """Read an agent as every command and function takes it.
 
         Args:
@@ -178,7 +176,7 @@ class AgentSpec(Settings):
             AgentSettingsError: a spec of version 0.3, whose message gives the new text; or parts that contradict each
                 other or the agent.
         """
-        if isinstance(agent, cls):
+        if isinstance(agent, AgentSpec):
             return agent
         if not isinstance(agent, str):
             return cls._describe(agent)
@@ -198,17 +196,18 @@ class AgentSpec(Settings):
         options: dict[str, Any] = reduce(lambda made, part: made | dict(part.options), parts, {})
         options |= {key.removeprefix(_IN_OPTIONS): value for key, value in given.items() if key.startswith(_IN_OPTIONS)}
         settings |= {key: value for key, value in given.items() if not key.startswith(_IN_OPTIONS)}
-        levels = {part.low_level for part in parts} - {None}
+        levels = {part.low_level for part in parts if part.low_level is not None}
         if len(levels) > 1:
             raise AgentSettingsError("agent", agent, "either +planned or +learned")
         if options and not cls(name).chooses_options:
             others = "".join(f"+{word}" for word in words if not PARTS[word].options)
             raise AgentSettingsError("agent", agent, f"{name}{others}, which acts with primitives, or {SMDP_PREFIX}"
                                      f"{agent}, which chooses among options")
-        return cls(name, "", recipe or DEFAULT_RECIPE, settings, OptionsView.from_dict(options), *levels)
+        low_level: LowLevel | None = next((part.low_level for part in parts if part.low_level is not None), None)
+        return cls(name, "", recipe or DEFAULT_RECIPE, settings, OptionsView.from_dict(options), low_level)
 
     @classmethod
-    def _describe(cls, agent: type[Agent] | Agent) -> Self:
+    def _describe(cls, agent: type[Agent] | Agent) -> AgentSpec:
         kind = agent if isinstance(agent, type) else type(agent)
         if not issubclass(kind, Agent):
             raise AgentSettingsError("agent", agent, "the text of a spec, an AgentSpec, or an agent or its class")

@@ -38,8 +38,8 @@ class RecordArgs(RoomChoice):
     """Options of `hrl-escape record`."""
 
     driver: Annotated[str, tyro.conf.Positional] = ORACLE
-    """The driver: planner, the folder of a run, the file of a saved episode, a rung, or an agent by its name or
-    label."""
+    """The driver: oracle or another reference, the folder of a run, the file of a saved episode, a rung, or the spec of
+    an agent."""
     out: tuple[Path, ...] = (Path("escape.html"),)
     """Files to write: .html for the page, .gif or .mp4 for an animation."""
     camera: str = "chase"

@@ -8,7 +8,7 @@
     hrl-escape watch lattice
     hrl-escape watch text-agent --settings model=search-random told=names
 
-Without a name the planner drives. An agent's name or label trains that agent while you watch, and a reference such as
+Without a name the oracle drives. The spec of an agent trains that agent while you watch, and a reference such as
 search-backtrack plays by its rule. The folder of a run (see
 `hrl-escape train`) lets the trained agent drive in its room; the name of a rung (see `hrl-escape ladder list`) that of
 the trained agent that comes with the package. Space pauses, P runs one primitive, D one decision.
@@ -37,7 +37,7 @@ class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     """Options of `hrl-escape watch`."""
 
     driver: Annotated[str, tyro.conf.Positional] = ORACLE
-    """The driver: planner or another reference, the name or label of an agent to train, the folder of a run, or a rung
+    """The driver: oracle or another reference, the spec of an agent to train, the folder of a run, or a rung
     with a trained agent."""
     pace: float = 5.0
     """Primitives a second at first; 0 for no limit."""

@@ -32,7 +32,7 @@ def test_flags_change_the_preset_and_nothing_else():
     assert (grid.runs, grid.primitives, grid.eval_episodes) == (3, 500, 2)
     assert grid.agents == get_grid("quickstart").agents and grid.name == "quickstart"
     other = CompareArgs("ladder", agents=("dqn", "smdp-dqn@keras-rl-2019"), room=("clutter#2",)).make_grid()
-    assert other.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", recipe="paper"))
+    assert other.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", recipe="keras-rl-2019"))
     assert other.rooms == (RoomSpec("clutter#2"),) and other.name == "ladder"
     assert CompareArgs(agents=("dqn",)).make_grid().name == "comparison"
 

@@ -25,7 +25,10 @@ OLD_WORDS = {"press-button-1": "press button-1", "press-button-2": "press button
 def test_a_recording_gets_the_names_of_its_options(tmp_path: Path):
     recording, path, out = make_recording(), tmp_path / "old.npz", tmp_path / "new.npz"
     assert recording.about["actions"] == ["press-button-1", "press-button-2", "go-to-exit"]
-    old = {**recording.about, "format": 1, "actions": ["meta-01", "meta-02", "meta-exit"]}
+    rooms = recording.about["rooms"]
+    assert rooms == "ladder-1/pair/train#0..2"
+    old = {**recording.about, "format": 1, "actions": ["meta-01", "meta-02", "meta-exit"],
+           "rooms": "ladder-1/pair/train[:2]"}
     save_recording(path, dataclasses.replace(recording, about=old))
     with pytest.raises(OldFormatError, match="this recording is of version 0.3. `hrl-escape convert .*old.npz`"):
         load_recording(path)

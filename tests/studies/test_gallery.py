@@ -10,7 +10,7 @@ from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.sampling.generation import generate
 from studies.__main__ import main
 from studies.gallery.analysis import PlayedRun, SolvedRoom, count_fewest, list_entries
-from studies.store import Store
+from studies.store import HEADER, Store
 from studies.study import find_study
 from tests.studies.pages import load, save, tell
 
@@ -91,6 +91,6 @@ def test_every_entry_is_measured():
 
 def test_a_damaged_line_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = save("gallery", make_findings({}), tmp_path)
-    path.write_text('{"preset": "hanoi", "fewest": 14}\n')
+    path.write_text(f'{HEADER}\n{{"preset": "hanoi", "fewest": 14}}\n')
     assert main(["gallery", "--from-raw", "--docs", str(tmp_path)]) == 2
-    assert "gallery.jsonl, line 1" in capsys.readouterr().err
+    assert "gallery.jsonl, line 2" in capsys.readouterr().err

@@ -153,7 +153,7 @@ def test_runs_are_made_once_and_to_the_bit(tmp_path: Path):
     for _ in range(2):
         measure(small, Args(), store)
         runs = {run.place: run for run in store.load()}
-        assert len(runs) == 10 and store.path.read_text().count("\n") == 10
+        assert len(runs) == 10 and store.path.read_text().count("\n") == 11
     learner = runs[KIND["learner"], KIND["told"], 2, 0]
     assert learner == run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3)
     many = [run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3, streams) for streams in (4, 4, 0)]

@@ -77,8 +77,8 @@ def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(
     printed = capsys.readouterr().out
     assert "`oracle` escapes most often." in printed and f"Page: {docs / 'one-button.md'}" in printed
     page, raw = (docs / "one-button.md").read_text(), docs / "raw" / "one-button.jsonl"
-    assert "| planner | 2 | 1.00 |" in page and f"python -m studies {planted} --runs 2" in page
-    assert raw.read_text().count("\n") == 4
+    assert "| oracle | 2 | 1.00 |" in page and f"python -m studies {planted} --runs 2" in page
+    assert raw.read_text().count("\n") == 5
     raw.write_text(raw.read_text().replace('"escapes":1.0', '"escapes":0.0'))
     assert main([str(planted), "--docs", str(docs), "--from-raw"]) == 0
     assert "All agents escape as often." in (docs / "one-button.md").read_text()

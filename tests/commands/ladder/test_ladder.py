@@ -176,7 +176,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     code, out, _ = call(capsys, *options, "--report")
     assert code == 0 and "doormat: 2 runs finished" in out
     command = (tmp_path / "per-instance" / "doormat" / "summary.md").read_text()
-    assert "hrl-escape ladder run random-options planner --rung doormat --workers 1 --runs 1" in command
+    assert "hrl-escape ladder run random-options oracle --rung doormat --workers 1 --runs 1" in command
     code, _, err = call(capsys, *options, "--resources", "num_gpus=1")
     assert code == 2 and "with --ray or --slurm" in err and err.count("\n") == 1
 
