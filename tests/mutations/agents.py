@@ -147,8 +147,8 @@ MUTATIONS = [
     Mutation(
         "boltzmann multiplies by its temperature",
         "agents/components/exploration.py",
-        "scaled = legal_values / settings.temperature",
-        "scaled = legal_values * settings.temperature",
+        "scaled = legal / temperature",
+        "scaled = legal * temperature",
         "agents/components/test_exploration.py",
     ),
     Mutation(

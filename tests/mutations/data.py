@@ -71,8 +71,8 @@ MUTATIONS = [
     Mutation(
         "the state reached is that of the decision itself",
         "data/materialise.py",
-        "duration, powers[duration], observation[after + 1],",
-        "duration, powers[duration], observation[after],",
+        "powers[duration], observation[after + 1], mask",
+        "powers[duration], observation[after], mask",
         "data/test_materialise.py",
     ),
     Mutation(

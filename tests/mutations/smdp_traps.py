@@ -26,9 +26,9 @@ MUTATIONS = [
     ),
     Mutation(
         "an agent serves one run of its policy at a time",
-        "agents/agent.py",
-        "before, agent._evaluation = agent._evaluation, self._memory",
-        "before = agent._evaluation",
+        "agents/decisions.py",
+        "self._before, agent._evaluation = agent._evaluation, policy._memory",
+        "self._before = agent._evaluation",
         "options/test_shared_options.py::test_an_agent_that_remembers_serves_several_runs_of_its_policy",
     ),
     Mutation(
@@ -79,15 +79,15 @@ MUTATIONS = [
     Mutation(
         "3 truncation as termination, in the backup",
         "agents/agent.py",
-        "transition.terminated or (transition.truncated and not settings.bootstrap_on_truncation)",
-        "transition.terminated or transition.truncated",
+        "decided.terminated | (decided.truncated & (not settings.bootstrap_on_truncation))",
+        "decided.terminated | decided.truncated",
         "agents/algorithms/test_tabular.py::test_trap_3_a_cap_inside_an_option_bootstraps_from_where_it_was_cut",
     ),
     Mutation(
         "3 truncation as termination, in deep sarsa",
         "agents/agent.py",
-        "transition.terminated or (transition.truncated and not settings.bootstrap_on_truncation)",
-        "transition.terminated or transition.truncated",
+        "decided.terminated | (decided.truncated & (not settings.bootstrap_on_truncation))",
+        "decided.terminated | decided.truncated",
         "agents/algorithms/test_sarsa.py::test_trap_3_a_cut_episode_still_has_a_future",
     ),
     Mutation(

@@ -230,8 +230,8 @@ MUTATIONS = [
     Mutation(
         "a repeat is begun as often as a primitive, so that more primitives are random than epsilon says",
         "studies/price/explorer.py",
-        "if self._action_rng.random() >= epsilon / (epsilon + length * (1 - epsilon)):",
-        "if self._action_rng.random() >= epsilon:",
+        "if self._choice_rng.random() >= epsilon / (epsilon + length * (1 - epsilon)):",
+        "if self._choice_rng.random() >= epsilon:",
         "studies/test_why.py::test_random_primitives_are_as_many_as_epsilon_says_and_all_are_learned_from",
     ),
     Mutation(
