@@ -388,8 +388,8 @@ def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_
     poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)
     poles.spec = gymnasium.spec("CartPole-v1")
     agent = PPO(poles.single_observation_space, poles.single_action_space, 0, PPOSettings(rollout=48, epochs=1))
-    learned, learn = [], agent._learn
-    agent._learn = lambda: (learned.append(agent._gather()), learn())[1]
+    learned, improve = [], agent.improve
+    agent.improve = lambda rollout: (learned.append(rollout), improve(rollout))[1]
     train(agent, poles, primitives=64 * 6, eval_every=16, eval_episodes=0)
     assert len(learned) >= 2
     for rollout in learned:

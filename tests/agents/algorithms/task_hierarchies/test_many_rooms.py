@@ -151,9 +151,9 @@ def test_networks_of_two_levels_learn_as_often_from_every_decision_in_fewer_upda
     for name, level in (("manager", agent.manager), ("worker", agent.worker)):
         sample = level._replay.sample
 
-        def note(size, rng, name=name, sample=sample):
+        def note(size, name=name, sample=sample):
             drawn.setdefault(name, []).append(size)
-            return sample(size, rng)
+            return sample(size)
 
         level._replay.sample = note
     train(agent, env, primitives=400, eval_episodes=0)
