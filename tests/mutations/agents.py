@@ -79,9 +79,7 @@ MUTATIONS = [
              "float(next_values[transition.next_action_mask].max())", "float(next_values.max())",
              "agents/algorithms/test_tabular.py::test_trap_9_an_illegal_action_of_high_value_does_not_win_the_maximum"),
     Mutation("a mask without a legal action is let through", "agents/agent.py::read_action_mask",
-             "«OURS⟨if⟩BASE⟨scaled = legal_values⟩THEIRS⟨scaled = legal⟩» not «OURS⟨np.count_nonzero(legal):⟩BASE⟨settings.temperature⟩THEIRS⟨temperature⟩»",«OURS⟨⟩BASE⟨
-        "scaled = legal_values⟩THEIRS⟨
-        "scaled = legal⟩» "if «OURS⟨False:⟩BASE⟨settings.temperature⟩THEIRS⟨temperature⟩»",
+             "if not np.count_nonzero(legal):", "if False:",
              "agents/test_transition.py::test_trap_10_a_mask_without_a_legal_action_is_refused"),
     Mutation("exploration ignores the mask", "agents/components/exploration.py::sample_legal",
              "legal = mask.nonzero()[0]", "legal = np.arange(len(mask))",

@@ -24,9 +24,7 @@ MUTATIONS = [
              "back = duration[rows] - 1 - place", "back = place",
              "data/test_materialise.py"),
     Mutation("the state reached is that of the decision itself", "data/materialise.py::DataSet._make_decisions",
-             "powers[duration], observation[after + 1], mask",«OURS⟨ "⟩BASE⟨
-        "duration, ⟩THEIRS⟨
-        "⟩»powers[duration], observation[after], mask",
+             "powers[duration], observation[after + 1],", "powers[duration], observation[after],",
              "data/test_materialise.py"),
     Mutation("an episode may end elsewhere than it was recorded", "data/materialise.py::DataSet._replay",
              "if end != self.recording.end[episode.number] or", "if False or",

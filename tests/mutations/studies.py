@@ -21,7 +21,7 @@ MUTATIONS = [
              "rooms.setdefault(run.rooms, []).append", 'rooms.setdefault(f"{run.rooms} {run.seed}", []).append',
              "studies/test_ladder.py"),
     Mutation("two processes of a study write its results at once", "studies/store.py::Store.add",
-«OURS⟨             "with⟩BASE⟨        "if self._action_rng.random() >= epsilon / (epsilon + length *⟩THEIRS⟨        "if self._choice_rng.random() >= epsilon / (epsilon + length *⟩» taking_turns(self.path.parent):", "if taking_turns(self.«OURS⟨path⟩BASE⟨_action_rng⟩THEIRS⟨_choice_rng⟩».parent):",
+             "with taking_turns(self.path.parent):", "if taking_turns(self.path.parent):",
              "studies/test_store.py::test_who_adds_waits_until_another_has_written"),
     Mutation("of two results of one run the first counts", "studies/store.py::Store._load",
              "found[type(line), line.place] = line", "found.setdefault((type(line), line.place), line)",

@@ -215,7 +215,8 @@ def test_what_being_told_the_graph_brings_is_a_sentence_of_its_own():
 def test_learners_of_fewer_rooms_are_held_against_others_in_these_rooms_alone():
     """From the eleventh room on, which one learner is not run in, nothing escapes, neither searchers nor others."""
     lines = [dataclasses.replace(line, efficiency=0.0, escapes=0.0)
-             if "/test#1" in line.room and not line.room.endswith("#1") else line for line in make_lines(change({MODEL: 0.97, DAC: 0.85}), rooms=20)]
+             if "/test#1" in line.room and not line.room.endswith("#1") else line
+             for line in make_lines(change({MODEL: 0.97, DAC: 0.85}), rooms=20)]
     page = tell([line for line in lines if line.agent != DAC or line.efficiency])
     assert "Mean efficiency over 20 rooms of each kind, or as many as stand in brackets:" in page
     some = tell([line for line in lines if line.kind == PAIR or int(re.findall(r"\[(\d+)", line.room)[0]) < 10])
