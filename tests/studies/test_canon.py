@@ -219,7 +219,7 @@ def test_learners_of_fewer_rooms_are_held_against_others_in_these_rooms_alone():
              for line in make_lines(change({MODEL: 0.97, DAC: 0.85}), rooms=20)]
     page = tell([line for line in lines if line.agent != DAC or line.efficiency])
     assert "Mean efficiency over 20 rooms of each kind, or as many as stand in brackets:" in page
-    some = tell([line for line in lines if line.kind == PAIR or int(re.findall(r"\[(\d+)", line.room)[0]) < 10])
+    some = tell([line for line in lines if line.kind == PAIR or int(re.findall(r"#(\d+)", line.room)[0]) < 10])
     assert "Mean efficiency over 10 or 20 rooms of each kind" in some
     assert re.search(rf"\| `{re.escape(DAC)}` \| 0\.4\d \| 0\.8\d \|", some), "in every kind as many as all others"
     assert re.search(rf"\| `{re.escape(DAC)}` \| 0\.\d\d \(10\) \| 0\.\d\d \(10\) \| \*\*\+0\.[12]\d \(", page)
@@ -282,7 +282,7 @@ def test_every_learner_has_three_settings_that_exist_and_differ():
 
 
 def test_trials_are_in_rooms_that_no_result_is_from():
-    assert all("/valid[" in room for family in FAMILIES for room in family.trials)
+    assert all("/valid#" in room for family in FAMILIES for room in family.trials)
 
 
 # --- real runs -------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ from studies.ladder.calibration import CHANCE
 from tests.studies.pages import tell
 
 ARGS = GeneralisationArgs(rung="pair", runs=2, primitives=500, rooms=3, shallow_rooms=6, first_seed=7)
-LINE = BaselineRun("sizes", "pair", "x/train[:1] > x/test", VECTORS, 0, 500, 0.2, 1.0, 0.5, 3, 0.5, 70, "abc")
+LINE = BaselineRun("sizes", "pair", "x/train#0..1 > x/test", VECTORS, 0, 500, 0.2, 1.0, 0.5, 3, 0.5, 70, "abc")
 
 
 def test_rooms_trained_in_grow_and_those_tested_in_stay():
@@ -62,7 +62,7 @@ def test_rooms_tested_in_are_deeper_than_any_trained_in(tmp_path: Path):
 
 
 def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
-    lines = [LINE, dataclasses.replace(LINE, rooms="x/train[:16] > x/test", efficiency=0.6),
+    lines = [LINE, dataclasses.replace(LINE, rooms="x/train#0..16 > x/test", efficiency=0.6),
              dataclasses.replace(LINE, agent=MEMORY, efficiency=0.9)]
     page = tell("generalisation", lines, tmp_path)
     assert f"| `{VECTORS}` | 0.20 (1.00) | 0.60 (1.00) |" in page and f"| `{MEMORY}` | 0.90 (1.00) | - |" in page
@@ -80,7 +80,7 @@ def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_ce
     other = dataclasses.replace(LINE, rung="chain-3", efficiency=0.7)
     chance = dataclasses.replace(LINE, agent=CHANCE, primitives=0)
     lines = [LINE, *(dataclasses.replace(other, seed=seed) for seed in range(3)), chance,
-             dataclasses.replace(other, agent=MEMORY, rooms="x/train[:4] > x/test")]
+             dataclasses.replace(other, agent=MEMORY, rooms="x/train#0..4 > x/test")]
     page = tell("generalisation", lines)
     assert f"| `{VECTORS}` | 0.20 (1.00) |\n" in page and f"| `{VECTORS}` | 0.70 (1.00) | - |\n" in page
     assert page.count("trained in. That is less than the budget of the study itself, 1,000,000.") == 2
@@ -185,7 +185,7 @@ def test_other_rungs_are_told_once_all_are_there(tmp_path: Path):
 
 def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:
     """Lines of ten seeds around an efficiency, by amounts that are shifted from seed to seed."""
-    return [dataclasses.replace(LINE, agent=agent, rooms=f"x/train[:{rooms}] > x/test", seed=seed,
+    return [dataclasses.replace(LINE, agent=agent, rooms=f"x/train#0..{rooms} > x/test", seed=seed,
                                 efficiency=efficiency + 0.01 * ((3 * seed + shift) % 10 - 4.5), **fields)
             for seed in range(10)]
 
@@ -237,7 +237,7 @@ def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: t
 
 
 def test_an_agent_at_the_floor_is_told_of_alone_and_flat_chance_is_that_over_primitives():
-    flat = [dataclasses.replace(LINE, agent=FLAT, rooms=f"x/train[:{rooms}] > x/test", seed=seed, efficiency=0.0,
+    flat = [dataclasses.replace(LINE, agent=FLAT, rooms=f"x/train#0..{rooms} > x/test", seed=seed, efficiency=0.0,
                                 seen=0.0) for rooms in (1, 1000) for seed in range(10)]
     others = [*make_seeds(VECTORS, 1000, 0.3, 0), *make_seeds(CHANCE, 1, 0.4, 3, primitives=0)]
     page = tell("generalisation", [*flat, *others])
@@ -280,7 +280,7 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about():
     """One question of p = 0.03 is answered; among five, Holm's correction leaves it open."""
     gains = [0.12, -0.02, 0.1, 0.03, -0.04, 0.14, 0.07, -0.03, 0.05, 0.06]
     lines = [*make_seeds(VECTORS, 1, 0.5, 0)]
-    lines += [dataclasses.replace(line, rooms="x/train[:16] > x/test", efficiency=line.efficiency + gain)
+    lines += [dataclasses.replace(line, rooms="x/train#0..16 > x/test", efficiency=line.efficiency + gain)
               for line, gain in zip(lines, gains, strict=True)]
     assert "with 16 training rooms reaches 0.05 more than with 1" in tell("generalisation", lines)
     others = [*make_seeds(CHANCE, 1, 0.5, 2), *make_seeds(OBJECTS, 1, 0.5, 2), *make_seeds(OBJECTS, 16, 0.5, 4)]
@@ -319,7 +319,7 @@ def test_the_best_of_several_cells_is_corrected_for_the_choice():
     searched = make_seeds(near, 1, 0.5, 0, primitives=0)
 
     def train_in(rooms: int, shift: int) -> list[BaselineRun]:
-        return [dataclasses.replace(line, agent=MEMORY, rooms=f"x/train[:{rooms}] > x/test", primitives=500,
+        return [dataclasses.replace(line, agent=MEMORY, rooms=f"x/train#0..{rooms} > x/test", primitives=500,
                                     efficiency=line.efficiency + gains[(line.seed + shift) % 10]) for line in searched]
 
     said = tell("generalisation", [*searched, *train_in(16, 0)])
