@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hrl_escape.comparison.conversion import convert_text, rename_fields
 from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_recording
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -67,8 +66,7 @@ def _convert_recording(path: Path, out: Path) -> str | None:
         actions[count:] = name_options(find_set(rooms)[0])
     if len(actions) != len(recording.about["actions"]):
         raise FileReadError(f"{path}: it has {len(recording.about['actions'])} actions, and its rooms {len(actions)}")
-    about = {**recording.about, "format": RECORDING_FORMAT, "actions": actions, "rooms": rooms,
-             "policies": [convert_text(policy) for policy in recording.about["policies"]]}
+    about = {**recording.about, "format": RECORDING_FORMAT, "actions": actions, "rooms": rooms}
     save_recording(out, dataclasses.replace(recording, about=about))
     return f"the recording {about['name']}"
 
@@ -91,11 +89,20 @@ def _convert_games(path: Path, out: Path) -> str | None:
     return f"{len(games)} recorded games"
 
 
+def _rename_options(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `OptionsEnv` with the present name of the option set."""
+    made = dict(options)
+    if "flavour" in made:
+        chosen = made.pop("flavour")
+        made["option_set"] = "press-reactive" if chosen == "press-markov" else chosen
+    return made
+
+
 def _convert_game(lines: Sequence[Any]) -> Game:
     """Play the calls of a game again, with the options' new names; what happened must be the same."""
     begun, *said, last = lines
     room = RoomInstance.from_dict(begun["room"])
-    env = OptionsEnv(EscapeRoomEnv(instance=room), **rename_fields(begun["options"]))
+    env = OptionsEnv(EscapeRoomEnv(instance=room), **_rename_options(begun["options"]))
     try:
         session = RoomSession(env, begun["told"] if "told" in begun else begun["reveal"])
         session.reset(seed=int(begun["seed"]))

@@ -15,9 +15,9 @@ from hrl_escape.agents.registry import agents, list_agents, list_hierarchy_agent
 from hrl_escape.agents.spec import PARTS, REFERENCES, OptionsView
 from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
+from hrl_escape.hierarchies import HierarchyEnv
 from hrl_escape.options.memory import DecisionMemory
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.synthesis import HierarchyEnv
 
 READER = "smdp-ppo+objects+memory"
 
@@ -213,7 +213,7 @@ def test_the_environment_decides_for_a_class():
     ("dqn", make_room(), ("smdp-dqn+primitives", "without OptionsEnv")),
     ("random", make_room(include_primitives=False), ("random-options,", "without OptionsEnv")),
     ("smdp-dqn+memory+primitives", make_room(), ("DecisionMemory(OptionsEnv(env))",)),
-    ("smdp-dqn+reactive+primitives", make_room(), ("OptionsEnv(env, flavour='press-markov')",)),
+    ("smdp-dqn+reactive+primitives", make_room(), ("OptionsEnv(env, option_set='press-reactive')",)),
     ("maxq-q+planned", make_flat(), ("HierarchyEnv(env, low_level='planned')",)),
     ("maxq-q+planned", HierarchyEnv(make_flat(), "maxq", "learned"), ("HierarchyEnv(env, low_level='planned')",)),
 ])

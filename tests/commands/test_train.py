@@ -58,7 +58,7 @@ def test_parts_of_a_spec_train_what_settings_train(capsys, tmp_path):
     assert "smdp-ppo+objects+memory, seed 0: " in said
     assert "this run was finished: nothing was trained" in call(capsys, "train", *options, *shared, "--out",
                                                                 tmp_path / "run")[1], "both are one run"
-    assert_refused(capsys, ["train", "smdp-dqn+reactive", "--flavour", "press-with-ancestors"],
+    assert_refused(capsys, ["train", "smdp-dqn+reactive", "--option-set", "press-with-ancestors"],
                    "press-markov, as in smdp-dqn+reactive, or left out")
     assert_refused(capsys, ["train", "dqn+memory"], "smdp-dqn+memory, which chooses among options")
     assert_refused(capsys, ["train", "smdp-dqn+no-primitives"], "it is smdp-dqn now")
@@ -137,8 +137,8 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["smdp-q-learning", "--eval-every", "0"], "eval_every = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--primitives", "0"], "primitives = 0 is not possible"),
     (["smdp-iql", "--data", "pair-play-v1", "--room", "clutter"], "--room does not go with --data"),
-    (["q-learning", "--flavour", "press"],
-     "--flavour is for agents that choose among options, such as smdp-q-learning"),
+    (["q-learning", "--option-set", "press"],
+     "--option-set is for agents that choose among options, such as smdp-q-learning"),
     (["hamq+planned", "--option-set", "press-reactive"],
      "--option-set is for agents that choose among options"),
 ])

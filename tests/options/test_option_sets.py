@@ -6,8 +6,9 @@ import gymnasium
 import pytest
 
 from hrl_escape import OptionsEnv, train
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.cli import main
-from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.comparison.grid import Grid
 from hrl_escape.env import EscapeRoomContinuousEnv, EscapeRoomEnv
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.options import (

@@ -36,7 +36,7 @@ AGENTS = [(rung, agent) for rung, agents in list_pretrained().items() for agent 
     "ladder-1/lattice-5-smdp-factored-r-max", "ladder-1/lattice-6-smdp-factored-r-max",
     "ladder-1/switchboard-smdp-r-max", "marks-1/told-smdp-ppo+objects+memory",
     "marks-2/motifs-smdp-ppo+objects+memory", "marks-3/deceived-smdp-ppo+objects+memory",
-    "marks-3/places-smdp-ppo+objects+memory", "ladder-1/drift-smdp-factored-r-max+no-primitives")
+    "marks-3/places-smdp-ppo+objects+memory", "ladder-1/drift-smdp-factored-r-max")
 @pytest.mark.parametrize(("rung", "agent"), AGENTS)
 def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent):
     found = load_once(rung, agent)

@@ -73,7 +73,7 @@ def test_a_puzzle_without_a_trait_has_nothing_of_it():
     assert isinstance(pair.symbolic, DerivedModel) and pair.symbolic is pair.symbolic
 
 
-@pytest.mark.nightly_for("puddle-world-traits5")
+@pytest.mark.nightly_for("puddle-world-mixins5")
 @pytest.mark.parametrize(("preset", "mixins"), [
     ("paper-two-button", {Graphed, Doored, Barring}), ("sokoban", {Mapped, Pushing, Barring}), ("deep-sea", set()),
     ("push-block", {Propped}), ("recipes", {Graphed, Depicted}), ("puddle-world", {Depicted})])
