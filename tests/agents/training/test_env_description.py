@@ -42,7 +42,9 @@ def make_options(seed=0, **arguments):
 
 
 def run(env, out, **arguments):
-    return train("smdp-q-learning", env, out=out, **{"primitives": 200, "eval_episodes": 1} | arguments)
+    has_primitives = env.has_wrapper_attr("primitive_count") and env.get_wrapper_attr("primitive_count") > 0
+    agent = "smdp-q-learning+primitives" if has_primitives else "smdp-q-learning"
+    return train(agent, env, out=out, **{"primitives": 200, "eval_episodes": 1} | arguments)
 
 
 @pytest.mark.parametrize("env", [
