@@ -260,7 +260,7 @@ def test_arguments_are_read_from_the_attributes_that_bear_their_names(tmp_path, 
 @pytest.mark.parametrize("content", [[1], {"format": 1}, {}])
 def test_the_description_of_no_run_is_refused(tmp_path, content):
     (tmp_path / "run.json").write_text(json.dumps(content))
-    with pytest.raises(CheckpointError, match="not the description of a run in format 2"):
+    with pytest.raises(CheckpointError, match="not the description of a run in format 3"):
         load_env(tmp_path)
 
 
