@@ -43,7 +43,7 @@ RATED: dict[str, tuple[str, dict[str, Any]]] = {
     "dqn, 8 times": ("dqn", {"batch_size": 32})}
 """Contender -> agent and settings."""
 DECIDED: dict[str, tuple[str, dict[str, Any]]] = {
-    "smdp-ppo+primitives, 1 epoch": ("features", {"epochs": 1}), "smdp-ppo+primitives, 10 epochs": ("features", {}),
+    "smdp-ppo, 1 epoch": ("features", {"epochs": 1}), "smdp-ppo, 10 epochs": ("features", {}),
     "objects and memory, 1 epoch": ("objects", {"epochs": 1, "network": "objects"})}
 """Contender -> observation and settings; of rows of objects with a memory."""
 
@@ -80,7 +80,7 @@ def measure_peer(count: int, budget: int, threads: int, device: str = "cpu") -> 
 
 
 def measure_decisions(contender: str, count: int, room: str, budget: int, device: str = "cpu") -> dict[str, float]:
-    """Decisions that `smdp-ppo+primitives` learns from in a second, and the primitives that they run."""
+    """Decisions that `smdp-ppo` learns from in a second, and the primitives that they run."""
     observation, settings = DECIDED[contender]
     env: Any = gymnasium.make_vec(f"hrl_escape/{room}Options-v1", num_envs=count, output="torch", device=device,
                                   observation=observation, include_primitives=False, compile=count >= 256)
@@ -88,7 +88,7 @@ def measure_decisions(contender: str, count: int, room: str, budget: int, device
     streams = MemoryStreams(streams) if observation == "objects" else streams
 
     def run(primitives: int) -> tuple[int, int]:
-        done = train("smdp-ppo+primitives", streams, primitives=primitives, eval_episodes=0, progress=False,
+        done = train("smdp-ppo", streams, primitives=primitives, eval_episodes=0, progress=False,
                      settings=settings)
         return done.decisions, done.primitives
 
@@ -202,7 +202,7 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
             groups.setdefault((row["contender"], row["count"]), []).append(row)
     median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
     peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
-                  "pixels": ("single", "frames"), "decisions": ("smdp-ppo+primitives, 10 epochs", "decisions")}[what]
+                  "pixels": ("single", "frames"), "decisions": ("smdp-ppo, 10 epochs", "decisions")}[what]
     base = median.get((peer, 1), float("nan"))
     wall = {key: float(np.median([row["wall"] for row in found]))
             for key, found in groups.items() if "wall" in found[0]}

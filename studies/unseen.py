@@ -94,8 +94,7 @@ def stream_rooms(rooms: InstanceSet, count: int, agent: str, observation: str = 
 def train_agent(spec: AgentSpec, train_in: gymnasium.Env | Streams, primitives: int, seed: int
                 ) -> tuple[Agent, int | None]:
     """Train an agent without evaluations; returns it, and the primitives at its first escape, None without one."""
-    result = train(spec.name, train_in, primitives=primitives, seed=seed, settings=spec.settings, eval_episodes=0,
-                   progress=False)
+    result = train(spec, train_in, primitives=primitives, seed=seed, eval_episodes=0, progress=False)
     assert result.agent is not None  # a run without a folder gives its agent back
     return result.agent, result.first_escape
 

@@ -81,7 +81,7 @@ def test_an_execution_says_how_it_ended(room: RoomInstance, plan: Plan):
 
 def test_a_result_draws_its_curve():
     env = OptionsEnv(gymnasium.make("hrl_escape/PaperOneButton-v1"))
-    result = train(agent="smdp-q-learning", env=env, primitives=300, seed=0)
+    result = train(agent="smdp-q-learning+primitives", env=env, primitives=300, seed=0)
     assert is_line(result, "smdp-q-learning", f"{result.primitives:,} primitives")
     line = result.plot("success_rate", "decisions").axes[0].lines[0]
     assert line.get_xydata().tolist() == [[e.decisions, e.success_rate] for e in result.evaluations]

@@ -29,7 +29,7 @@ from hrl_escape.planning.planner import get_planner
 from hrl_escape.sets import load_benchmark
 
 KEPT = Path(__file__).parents[1] / "images" / "strip.svg"
-SEED, TRAINING, SEARCHER, LEARNER = 3, 10_000, "search-nearest", "smdp-q-learning+primitives"
+SEED, TRAINING, SEARCHER, LEARNER = 3, 10_000, "search-nearest", "smdp-q-learning"
 FLOORS = ("pair", "chain-3", "chain-4")
 BATCH, BATCH_COLUMNS = 48, 16
 RATE, REST = 9.0, 2.0  # primitives a second, seconds of rest before all begin anew

@@ -72,5 +72,5 @@ figure = get_figure_class()(figsize=(5.6, 2.6), layout="constrained")
 figure.add_subplot(xlabel="episode", ylabel="return while exploring").plot(returns, marker="o")
 figure
 
-# The packaged `smdp-q-learning+primitives` makes the same backup and adds decaying exploration, a seed for every draw,
+# The packaged `smdp-q-learning` makes the same backup and adds decaying exploration, a seed for every draw,
 # checkpoints and evaluation on fixed episodes.

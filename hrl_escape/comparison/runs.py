@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.hierarchy_kinds import find_kind
-from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.agents.training.results import TrainResult
@@ -275,8 +275,10 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
 
     rule = run.grid.until_solved
     probe = None if rule is None else SolvedProbe(rule, env, place.instance, run.agent, score_range)
+    # `run.settings` and the environment hold the rest of the spec.
+    chosen = OptionsView(include_primitives=run.agent.options.include_primitives)
     result = train(
-        run.agent.name, env, primitives=run.grid.primitives, decisions=run.grid.decisions, seed=run.seed,
+        AgentSpec(run.agent.name, options=chosen), env, primitives=run.grid.primitives, decisions=run.grid.decisions, seed=run.seed,
         settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,

@@ -150,7 +150,7 @@ def test_the_horizon_stays_where_a_limit_is_later_and_the_limit_is_part_of_the_d
 def test_training_in_many_rooms_refuses_a_limit_of_decisions():
     rooms = gymnasium.make_vec(OPTIONS, num_envs=2, max_episode_steps=5)
     with pytest.raises(UnsupportedError, match="counts decisions.*set the horizon"):
-        train("smdp-ppo", rooms, primitives=10)
+        train("smdp-ppo+primitives", rooms, primitives=10)
 
 
 @pytest.mark.parametrize(("name", "steps"), [
@@ -207,7 +207,7 @@ WRONG = r"`eval_env` has observations of shape \(5,\), float32,.*trained on obse
 def test_an_evaluation_environment_with_other_observations_is_refused(make):
     other = gymnasium.make("hrl_escape/PaperOneButtonOptions-v1", observation="features")
     with pytest.raises(UnsupportedSpaceError, match=WRONG):
-        train("smdp-ppo", make("hrl_escape/PaperOneButtonOptions-v1"), eval_env=other, primitives=10)
+        train("smdp-ppo+primitives", make("hrl_escape/PaperOneButtonOptions-v1"), eval_env=other, primitives=10)
 
 
 def test_an_evaluation_environment_with_other_bounds_is_accepted():

@@ -38,7 +38,7 @@ def test_the_regularities_of_marks_3_tell_bits_and_their_control_none():
 def test_the_list_of_rungs_has_their_references(capsys: pytest.CaptureFixture[str]):
     assert main(["ladder", "list", "--benchmark", "marks-3", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rungs"]
-    assert {row["rung"]: row["references"]["searcher"] for row in rows} == {
+    assert {row["rung"]: row["references"]["search"] for row in rows} == {
         name: own.search for name, own in load_references("marks-3").items()}
     assert main(["ladder", "list", "--benchmark", "marks-3"]) == 0
     assert "6.9 of 6.9" in capsys.readouterr().out

@@ -353,7 +353,7 @@ def test_options_say_which_run_they_come_from_and_a_run_over_them_keeps_it(tmp_p
                                             "primitives": result.primitives}
 
     def train_above(each, **arguments):
-        return train("smdp-q-learning", OptionsEnv(lake(), [each]), primitives=200, eval_episodes=0,
+        return train("smdp-q-learning+primitives", OptionsEnv(lake(), [each]), primitives=200, eval_episodes=0,
                      out=tmp_path / "upper", **arguments)
 
     train_above(option)

@@ -130,7 +130,7 @@ def test_training_counts_the_planner_calls_of_all_levels_and_floors():
         return OptionsEnv(EscapeRoomEnv("paper-one-button"), include_primitives=False)
 
     env = SequenceEnv(make(), then=[make()])
-    result = train("random", env, decisions=12, primitives=10_000, eval_episodes=0)
+    result = train("random-options", env, decisions=12, primitives=10_000, eval_episodes=0)
     totals = [floor.planning_total for floor in env.parts]
     assert result.planner_calls == sum(total.planner_calls for total in totals)
     assert all(total.planner_calls for total in totals)

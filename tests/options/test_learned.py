@@ -150,7 +150,8 @@ def test_impossible_policies_are_refused(arguments, message):
 def train_on_lake(folder, env=None, **arguments):
     env = env or OptionsEnv(make_lake(), make_lake_options)
     settings = {"learning_rate": 1.0, "gamma": 0.9}
-    return train("smdp-q-learning", env, out=folder, **{"primitives": 1500, "settings": settings} | arguments)
+    return train("smdp-q-learning+primitives", env, out=folder,
+                 **{"primitives": 1500, "settings": settings} | arguments)
 
 
 @pytest.mark.nightly
@@ -198,8 +199,8 @@ def test_a_deep_agent_balances_cart_pole_by_options(tmp_path):
             FunctionOption("catch", lambda s: int(s[2] + 0.3 * s[3] > 0), lambda s: 0.2),
             FunctionOption("right", lambda s: 1, lambda s: float(s[2] < 0), lambda s: s[2] > 0)])
 
-    cut = train("smdp-dqn", make(), primitives=300, eval_episodes=1, settings=SMALL, out=tmp_path / "run")
-    again = train("smdp-dqn", make(), primitives=300, eval_episodes=1, settings=SMALL, out=tmp_path / "run")
+    cut = train("smdp-dqn+primitives", make(), primitives=300, eval_episodes=1, settings=SMALL, out=tmp_path / "run")
+    again = train("smdp-dqn+primitives", make(), primitives=300, eval_episodes=1, settings=SMALL, out=tmp_path / "run")
     assert again == cut and cut.decisions < cut.primitives
     observation, info = make().reset(seed=1)
     loaded = load_agent(tmp_path / "run", make())

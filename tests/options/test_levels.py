@@ -207,7 +207,7 @@ def test_options_over_the_planned_options_of_a_room():
         OptionsEnv(lower)
 
 
-@pytest.mark.parametrize("agent", ["smdp-q-learning", "smdp-intra-option-q"])
+@pytest.mark.parametrize("agent", ["smdp-q-learning+primitives", "smdp-intra-option-q+primitives"])
 def test_agents_over_two_levels_learn_the_exact_values(agent):
     """Two cells a decision, or on to cell 4: each is worth what its primitives bring, discounted one by one."""
     lower = OptionsEnv(Corridor(length=7), [ScriptedOption("two-east", [EAST] * 2)], include_primitives=False,

@@ -47,7 +47,8 @@ def make_upper(env, **arguments):
 
 
 def train_on(env, gamma=GAMMA, **arguments):
-    return train("smdp-q-learning", env, primitives=40, settings={"gamma": gamma}, **{"eval_episodes": 0, **arguments})
+    return train("smdp-q-learning+primitives", env, primitives=40, settings={"gamma": gamma},
+                 **{"eval_episodes": 0, **arguments})
 
 
 @each_wrapper

@@ -52,5 +52,5 @@ def run(two_buttons, tmp_path_factory) -> Path:
     """A short training run of smdp-dqn, as `hrl-escape train` leaves it."""
     folder = tmp_path_factory.mktemp("run")
     env = OptionsEnv(EscapeRoomEnv(instance=two_buttons, observation="features"))
-    train("smdp-dqn", env, primitives=1500, seed=0, out=folder, eval_episodes=0, progress=False)
+    train("smdp-dqn+primitives", env, primitives=1500, seed=0, out=folder, eval_episodes=0, progress=False)
     return folder

@@ -42,7 +42,9 @@ def make_options(seed=0, **arguments):
 
 
 def run(env, out, **arguments):
-    return train("smdp-q-learning", env, out=out, **{"primitives": 200, "eval_episodes": 1} | arguments)
+    has_primitives = env.has_wrapper_attr("primitive_count") and env.get_wrapper_attr("primitive_count") > 0
+    agent = "smdp-q-learning+primitives" if has_primitives else "smdp-q-learning"
+    return train(agent, env, out=out, **{"primitives": 200, "eval_episodes": 1} | arguments)
 
 
 @pytest.mark.parametrize("env", [
@@ -260,7 +262,7 @@ def test_arguments_are_read_from_the_attributes_that_bear_their_names(tmp_path, 
 @pytest.mark.parametrize("content", [[1], {"format": 1}, {}])
 def test_the_description_of_no_run_is_refused(tmp_path, content):
     (tmp_path / "run.json").write_text(json.dumps(content))
-    with pytest.raises(CheckpointError, match="not the description of a run in format 2"):
+    with pytest.raises(CheckpointError, match="not the description of a run in format 3"):
         load_env(tmp_path)
 
 

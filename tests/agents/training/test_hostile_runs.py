@@ -51,7 +51,7 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     room = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features")
     train("q-learning", gymnasium.make("FrozenLake-v1"), primitives=60, eval_episodes=0, out=folder / "lake")
-    train("smdp-q-learning", OptionsEnv(room), primitives=60, eval_episodes=0, out=folder / "room",
+    train("smdp-q-learning+primitives", OptionsEnv(room), primitives=60, eval_episodes=0, out=folder / "room",
           eval_env=gymnasium.wrappers.TransformReward(OptionsEnv(room), abs))
     return folder
 

@@ -433,7 +433,7 @@ class Deleting:
 
 @pytest.mark.parametrize("save", ["save", "save_best"])
 def test_a_folder_that_is_deleted_meanwhile_does_not_come_back_as_a_lone_checkpoint(tmp_path, save):
-    folder = RunFolder(tmp_path / "run", {"format": 2})
+    folder = RunFolder(tmp_path / "run", {"format": 3})
     with pytest.raises(FileWriteError, match=r"log\.jsonl was deleted or moved while its run was writing it"):
         getattr(folder, save)({"agent": Deleting(tmp_path / "run")})
     folder.close()

@@ -242,7 +242,7 @@ def test_the_next_value_of_a_rollout_is_the_critics_of_the_state_reached(monkeyp
 
     monkeypatch.setattr("hrl_escape.agents.algorithms.ppo.compute_next_values", note)
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
-    train("smdp-ppo", env, primitives=1_500, eval_episodes=0, settings=SMALL)
+    train("smdp-ppo+primitives", env, primitives=1_500, eval_episodes=0, settings=SMALL)
     poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)
     train("ppo", poles, primitives=600, eval_env=gymnasium.make("CartPole-v1"), eval_episodes=0, settings=SMALL)
     assert len(seen) >= 6 and any(bool(over.any()) for *_, over in seen)
@@ -355,7 +355,8 @@ def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_say
 def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
     settings = SMALL_DQN if name == "smdp-dqn" else SMALL
-    result = train(name, env, primitives=300, seed=0, settings=settings, eval_every=300, eval_episodes=1)
+    result = train(f"{name}+primitives", env, primitives=300, seed=0, settings=settings, eval_every=300,
+                   eval_episodes=1)
     assert 300 <= result.primitives < 300 + 8 * 60 and result.decisions < result.primitives
     last = result.segments[-1]
     assert (last.primitives, last.decisions) == (result.primitives, result.decisions)
@@ -375,7 +376,7 @@ def test_a_failed_sea_is_logged_as_no_success():
 
     sea = dataclasses.replace(get_preset("deep-sea"), puzzle=DeepSeaConfig(size=3))
     env = Counted(8, sea, discount=0.99, include_primitives=False)
-    segments = train("smdp-ppo", env, primitives=1_500, settings=SMALL, eval_episodes=0).segments
+    segments = train("smdp-ppo+primitives", env, primitives=1_500, settings=SMALL, eval_episodes=0).segments
     assert sum(segment.episodes for segment in segments) == env.ends
     assert sum(segment.successes for segment in segments) == env.successes
     assert 0 < env.successes < env.ends

@@ -535,4 +535,4 @@ def test_a_hierarchical_agent_without_options_is_told_so():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         train("random", flat, primitives=10, eval_episodes=0, progress=False)
-        train("random-options", OptionsEnv(flat), primitives=10, eval_episodes=0, progress=False)
+        train("random-options+primitives", OptionsEnv(flat), primitives=10, eval_episodes=0, progress=False)

@@ -88,7 +88,7 @@ def test_one_above_all_copies_is_refused_too(vector, wrap, action):
 def test_it_is_refused_in_training_with_each_kind_of_reset(mode):
     envs = many.ClipReward(SyncVectorEnv([make_options] * 2, autoreset_mode=mode), -1, 1)
     with pytest.raises(StepContractError, match="a wrapper above OptionsEnv changed it"):
-        train("smdp-ppo", envs, primitives=50, settings=SMALL, eval_env=make_options(), eval_episodes=0)
+        train("smdp-ppo+primitives", envs, primitives=50, settings=SMALL, eval_env=make_options(), eval_episodes=0)
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP], ids=lambda mode: mode.value)
@@ -312,7 +312,8 @@ class Spy(VectorWrapper):
 def test_a_wrapper_above_a_batch_of_rooms_with_options_is_stepped_through():
     rooms = OptionsVectorEnv(4, "paper-one-button", observation="features")
     spy = Spy(rooms)
-    result = train("smdp-ppo", spy, primitives=150, settings=SMALL, eval_env=rooms.make_single_env(), eval_episodes=0)
+    result = train("smdp-ppo+primitives", spy, primitives=150, settings=SMALL, eval_env=rooms.make_single_env(),
+                   eval_episodes=0)
     assert spy.resets == 1 and result.decisions / 4 <= spy.steps <= result.decisions
     assert spy.longest > 1, "options ran"
     streams = make_streams(spy, GAMMA)
@@ -347,9 +348,9 @@ def test_a_wrapped_batch_gives_the_sums_at_the_agents_discount(output):
 
 def test_the_environment_of_evaluations_must_be_given_where_wrappers_show_something_else():
     with pytest.raises(AgentSettingsError, match="eval_env = None .* does what Spy does"):
-        train("smdp-ppo", Spy(OptionsVectorEnv(2, "paper-one-button")), primitives=50, settings=SMALL)
+        train("smdp-ppo+primitives", Spy(OptionsVectorEnv(2, "paper-one-button")), primitives=50, settings=SMALL)
     envs = many.RecordEpisodeStatistics(OptionsVectorEnv(2, "paper-one-button", observation="features"))
-    assert train("smdp-ppo", envs, primitives=50, settings=SMALL, eval_episodes=0).primitives >= 50
+    assert train("smdp-ppo+primitives", envs, primitives=50, settings=SMALL, eval_episodes=0).primitives >= 50
 
 
 @pytest.mark.parametrize("make_rooms", [

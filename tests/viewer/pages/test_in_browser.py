@@ -154,7 +154,7 @@ def test_a_client_that_vanishes_mid_episode_harms_nothing(two_buttons, browser, 
 def watched(two_buttons, server: Server, tmp_path: Path) -> Iterator[tuple[WatchPage, Path]]:
     """A trained run, paused at its first decision."""
     env = OptionsEnv(EscapeRoomEnv(instance=two_buttons, observation="features"))
-    train("smdp-dqn", env, primitives=150, seed=0, out=tmp_path, eval_episodes=0, progress=False)
+    train("smdp-dqn+primitives", env, primitives=150, seed=0, out=tmp_path, eval_episodes=0, progress=False)
     gate = Gate(None, paused=True)
     page = WatchPage(server, Watch(open_driver(str(tmp_path), two_buttons), gate))
     thread = run_in_thread(page)
