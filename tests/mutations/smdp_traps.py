@@ -121,8 +121,8 @@ MUTATIONS = [
     Mutation(
         "8 n-step multiplies one gamma only",
         "agents/components/replay.py",
-        "where(follows, bootstrap * fields.bootstrap[last], bootstrap)",
-        "where(follows, fields.bootstrap[last], bootstrap)",
+        "where(follows, bootstrap * take(fields.bootstrap, last), bootstrap)",
+        "where(follows, take(fields.bootstrap, last), bootstrap)",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),
     Mutation(
@@ -455,8 +455,8 @@ MUTATIONS = [
     Mutation(
         "8 n-step keeps the first decision's legal actions",
         "agents/components/replay.py",
-        "fields.next_observation[last], fields.next_mask[last])",
-        "fields.next_observation[last], fields.next_mask[rows])",
+        "take(fields.next_observation, last), take(fields.next_mask, last))",
+        "take(fields.next_observation, last), take(fields.next_mask, rows))",
         "agents/components/test_replay.py::test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends",
     ),
 ]
