@@ -43,6 +43,10 @@ class Arrays(Stateful):
         """Return the numbers from `first` on, int64 (count,)."""
         return self.library.arange(first, first + count, device=str(self.device))
 
+    def take(self, rows: Any, which: Any) -> Any:
+        """Return some rows, int64 (n,), of an array; several times faster than by an index."""
+        return rows.take(which, axis=0) if self.library is np else rows.index_select(0, which)
+
     def draw_numbers(self, below: int, count: int) -> Any:
         """Draw numbers from 0 to `below` - 1, int64 (count,)."""
         if self.library is np:

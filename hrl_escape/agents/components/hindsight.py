@@ -86,7 +86,8 @@ class HindsightReplay(Hindsight):
         """
         shared = [name for name in SMDPTransition._fields if name in Decisions._fields and name != "trace"]
         row: dict[str, Any] = {name: getattr(batch, name)[0] for name in shared}
-        transition = SMDPTransition(**row)
+        transition = SMDPTransition(**{name: value.item() if isinstance(value, np.generic) else value
+                                       for name, value in row.items()})
         experience, bonus = Experience(*(field[0] for field in experience)), float(np.ravel(bonus)[0])
         if transition.duration != 1:
             raise StepContractError(f"action {transition.action} ran {transition.duration} primitives; hindsight_goals "

@@ -139,16 +139,16 @@ class Replay(Stateful):
 
     def take(self, rows: Any) -> Experience:
         """Backups of n decisions that begin in some rows, int64 (batch,)."""
-        fields, where = self._fields, self._arrays.library.where
-        reward, bootstrap, last = fields.reward[rows], fields.bootstrap[rows], rows
+        fields, take, where = self._fields, self._arrays.take, self._arrays.library.where
+        reward, bootstrap, last = take(fields.reward, rows), take(fields.bootstrap, rows), rows
         for _ in range(self.n_step - 1):
-            after = self._next[last]
+            after = take(self._next, last)
             follows = after >= 0
             last = where(follows, after % self.capacity, last)
-            reward = reward + bootstrap * where(follows, fields.reward[last], 0.0)
-            bootstrap = where(follows, bootstrap * fields.bootstrap[last], bootstrap)
-        return Experience(fields.observation[rows], fields.mask[rows], fields.action[rows], reward, bootstrap,
-                          fields.next_observation[last], fields.next_mask[last])
+            reward = reward + bootstrap * take(fields.reward, last) * follows
+            bootstrap = where(follows, bootstrap * take(fields.bootstrap, last), bootstrap)
+        return Experience(take(fields.observation, rows), take(fields.mask, rows), take(fields.action, rows), reward,
+                          bootstrap, take(fields.next_observation, last), take(fields.next_mask, last))
 
     def state_dict(self) -> StateTree:
         """The filled rows, how they follow each other, and the counter."""
