@@ -279,7 +279,8 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
     chosen = OptionsView(include_primitives=run.agent.options.include_primitives)
     result = train(
         AgentSpec(run.agent.name, options=chosen), env, primitives=run.grid.primitives,
-        decisions=run.grid.decisions, seed=run.seed, settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
+        decisions=run.grid.decisions, seed=run.seed, settings=run.settings, eval_env=eval_env,
+        eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
         eval_trials=1 if place.split is None else len(list_sets(place.split.test)), observed=False,
