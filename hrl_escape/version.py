@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 LIBRARIES = ("gymnasium", "numpy", "scipy", "numba", "torch", "torchrl", "pybullet", "ompl", "pin")
 
