@@ -99,6 +99,11 @@ def measure_conduct(policy: Any, values: Any, mask: Any, action: Any) -> dict[st
 
     Policies, values and masks are (n, actions), actions (n,), arrays or tensors.
     """
+    if len(action) == 1:  # Python takes a tenth of the time for one row
+        shares, row = policy[0].tolist(), values[0].tolist()
+        best = max(value for value, is_legal in zip(row, mask[0].tolist(), strict=True) if is_legal)
+        return {"entropy": -sum(share * math.log(share) for share in shares if share > 0),
+                "greedy": float(row[int(action[0])] >= best)}
     library: Any = np if isinstance(values, np.ndarray) else sys.modules["torch"]
     entropy = -(policy * library.log(library.where(policy > 0, policy, 1.0))).sum(-1)
     best = library.amax(library.where(mask, values, -np.inf), -1)

@@ -15,7 +15,7 @@ from hrl_escape.agents.decisions import Moments, Policy
 
 
 class Memory:
-    """What networks are given beside the observation. This one keeps nothing: `size` is 0.
+    """Memory of an episode, which networks read beside the observation. This one keeps nothing: `size` is 0.
 
     Attributes:
         size: numbers in the state of an episode.

@@ -21,7 +21,7 @@ View = Callable[[Seen], Any]
 """Part of a moment that matters: a number, a tuple of numbers, or an array."""
 Pseudo = Callable[[Seen], float]
 """Pseudo-reward of the state in which the task ended."""
-Policy = Callable[[Seen], int | None]
+TaskPolicy = Callable[[Seen], int | None]
 """The one child, by its number as a choice, that a task whose policy is known may call; None where there is none."""
 
 
@@ -43,7 +43,7 @@ class GraphTask(BaseTask):
         primitive_views: Mapping[int, View],
         pseudo: Pseudo | None,
         choices: int,
-        policy: Policy | None,
+        policy: TaskPolicy | None,
         place: tuple[float, float] | None,
     ) -> None:
         super().__init__(name, choices)
@@ -95,7 +95,7 @@ def maxq(
     see: Mapping[str | int | tuple[str, str | int], View] | None = None,
     pseudo: Mapping[str, Pseudo] | None = None,
     *,
-    policies: Mapping[str, Policy] | None = None,
+    policies: Mapping[str, TaskPolicy] | None = None,
     places: Mapping[str, tuple[float, float]] | None = None,
     learners: Mapping[str, LearnerSpec] | None = None,
     read: Callable[[Any], Any] | None = None,
