@@ -22,6 +22,7 @@ extensions = [
     "gallery",
     "mathematics",
     "pictures",
+    "redirects",
     "reference",
     "tables",
     "tutorials",

@@ -312,7 +312,7 @@ def gather_decisions(ended: EndedDecisions, masks: Tensor, gamma: float, agent_g
     discount = (agent_gamma ** duration.double()).float()
     fields = (ended.observation, masks, ended.action, ended.discounted_reward, ended.reward, duration, discount,
               ended.next_observation, ended.next_action_mask, ended.terminated, ended.truncated)
-    return Decisions(stream, *(field[stream] for field in fields))
+    return Decisions._make((stream, *(field[stream] for field in fields), ()))
 
 
 def compute_backups(decisions: StreamTransitions, settings: LearningSettings) -> tuple[Tensor, Tensor]:

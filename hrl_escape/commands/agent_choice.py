@@ -29,7 +29,7 @@ class AgentChoice:
     """Observation of the agent: features by default, or objects for agents that need it; with +planned or +learned it
     is what the tasks ask for."""
 
-    def make_spec(self, agent: str) -> AgentSpec:
+    def make_spec(self, agent: str | AgentSpec) -> AgentSpec:
         """The agent of a spec, trained as the options say.
 
         Raises:

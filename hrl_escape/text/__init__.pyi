@@ -8,8 +8,7 @@ from .recordings import (
     save_games,
     verify_games,
 )
-from .settings import REVEAL_LEVELS
-from .text_env import RoomSession, Score, TextEnv, ToolCall, ToolResult, Turn
+from .text_env import REVEAL_LEVELS, RoomSession, Score, TextEnv, ToolCall, ToolResult, Turn
 
 __all__ = [
     "Game",

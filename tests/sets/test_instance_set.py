@@ -144,5 +144,5 @@ def test_options_over_rooms_of_two_and_three_blocks_are_learned_from_and_the_mis
         missing = [index for index, goal in enumerate(list_goals(env.unwrapped.instance))
                    if getattr(goal, "target", 0) >= len(env.unwrapped.instance.targets)]
         assert len(missing) in (0, 3) and not info["action_mask"][missing].any() and info["action_mask"].any()
-    result = train("q-learning", env, primitives=300, eval_episodes=0, progress=False)
+    result = train("smdp-q-learning", env, primitives=300, eval_episodes=0, progress=False)
     assert result.primitives >= 300

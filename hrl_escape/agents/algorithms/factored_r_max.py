@@ -44,7 +44,7 @@ class FactoredRMax(PlanningAgent):
     Settings: ClassVar[type] = FactoredRMaxSettings
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: FactoredRMaxSettings | None = None) -> None:
+                 settings: AgentSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._careful = self.model.make_belief(self.model.get_alive, self.settings.visits)
         self._bold = self.model.make_belief(self.model.get_likeliest, self.settings.visits)

@@ -153,7 +153,7 @@ class PPO(BatchAgent):
 
     def _prepare(self, num_envs: int, device: torch.device | None) -> None:
         self.place = num_envs, device
-        self._arrays = Arrays(make_rng(self._seed, "draws"), device)
+        self._arrays = Arrays(make_rng(self._seed, "actions" if device is None else "streams"), device)
         self._recollections = Recollections(self._memory, num_envs, self._arrays)
         self._least = max(self.settings.rollout, 0 if device is None else self.settings.stream_rollout * num_envs)
         self.rollout = RolloutBuffer(self._arrays, num_envs)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.state import Stateful
 
 
@@ -58,6 +59,8 @@ class Arrays(Stateful):
 
         One of probability 0 is never drawn. The winner is the first of exponential clocks to ring.
         """
+        if self.library is np and len(probabilities) == 1:
+            return np.array([sample_index(probabilities[0], self._generator)])
         if self.library is np:
             waits = self._generator.standard_exponential(probabilities.shape)
             return (probabilities / np.maximum(waits, 1e-30)).argmax(1)

@@ -72,7 +72,7 @@ class CallRunner(RowStreamAgent):
     _chosen: tuple[Stack, Seen, int] | None
     """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
 
-    def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
+    def __init__(self, hierarchy: Hierarchy, seed: int, settings: AgentSettings) -> None:
         self.hierarchy, self.privileges = hierarchy, hierarchy.privileges
         self.settings: Any = settings
         self._rng = make_rng(seed, "calls")
@@ -219,7 +219,7 @@ class TabularRunner(CallRunner):
 
     STATE = ("_steps", "_action_rng")
 
-    def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
+    def __init__(self, hierarchy: Hierarchy, seed: int, settings: AgentSettings) -> None:
         super().__init__(hierarchy, seed, settings)
         self._action_rng, self._steps = make_rng(seed, "actions"), 0
 

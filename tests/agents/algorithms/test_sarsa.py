@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import torch
 
 from hrl_escape.agents.algorithms.sarsa import Sarsa, SarsaSettings
-from hrl_escape.agents.components.exploration import compute_policy
+from hrl_escape.agents.components.replay import Experience
 from tests.agents.running import interact, learn
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 
@@ -68,9 +69,17 @@ def test_online_sarsa_takes_the_very_action_it_bootstrapped_from():
 
 
 def test_the_sampled_next_action_follows_the_policy_and_its_mask():
-    env = SmdpEnv(CHAIN, one_hot=True)
-    agent = Sarsa(env.observation_space, env.action_space, 0, SarsaSettings(expected=False))
-    values, mask = np.float32([[1.0, 2.0, 3.0]]), np.array([[True, True, False]])
-    weights = [agent._compute_weights(values, mask, None)[0] for _ in range(4_000)]
-    policy = compute_policy(values / agent.settings.reward_scale, mask, agent.settings, 0)[0]
-    assert np.mean(weights, axis=0) == pytest.approx(policy, abs=0.04)
+    """The mean of targets with a sampled action is the target with the expectation."""
+    env, count = ButtonGrid(), 4_000
+    sampled, expected = (Sarsa(env.observation_space, env.action_space, 0, SarsaSettings(expected=expected))
+                         for expected in (False, True))
+    actions = env.action_space.n
+    mask = torch.arange(actions).expand(count, -1) > 0  # without the first action
+    seen = torch.zeros(count, *env.observation_space.shape)
+    batch = Experience(seen, mask, torch.zeros(count, dtype=torch.int64), torch.zeros(count), torch.ones(count), seen,
+                       mask)
+    with torch.no_grad():
+        found, exact = sampled.compute_targets(batch), expected.compute_targets(batch)[0]
+    assert found.mean().item() == pytest.approx(exact.item(), abs=4 * found.std().item() / count**0.5 + 1e-6)
+    values = sampled.values.target(batch.next_observation[:1])[0]
+    assert {round(each, 5) for each in found.tolist()} == {round(each, 5) for each in values[1:].tolist()}

@@ -28,7 +28,7 @@ def test_eigenoptions_learned_in_one_task_serve_another_agent_in_another_task(tm
         assert info["action_mask"][4]
         _, _, terminated, _, info = env.step(4)
         assert terminated and info["option"]["name"] == "direction-1+"
-    result = train("smdp-q-learning", env, primitives=300, seed=0, eval_episodes=0)
+    result = train("smdp-q-learning+primitives", env, primitives=300, seed=0, eval_episodes=0)
     assert result.decisions < result.primitives / 2, "another agent learns over them"
 
 

@@ -32,8 +32,8 @@ class Six(gymnasium.Env):
 
 KINDS = {
     "flat": ("q-learning", lambda env: env),
-    "options": ("smdp-q-learning", lambda env: OptionsEnv(env, [ScriptedOption("both", [1, 1])])),
-    "two levels": ("smdp-q-learning", lambda env: OptionsEnv(
+    "options": ("smdp-q-learning+primitives", lambda env: OptionsEnv(env, [ScriptedOption("both", [1, 1])])),
+    "two levels": ("smdp-q-learning+primitives", lambda env: OptionsEnv(
         OptionsEnv(env, [ScriptedOption("both", [1, 1])]), [ScriptedOption("twice", [2, 2])])),
 }
 each_kind = pytest.mark.parametrize("kind", KINDS)

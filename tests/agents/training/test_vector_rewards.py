@@ -272,7 +272,7 @@ def test_masks_are_those_of_the_copies_that_give_one_in_each_kind_of_reset(vecto
 def test_training_goes_on_through_every_kind_of_reset(mode, make_envs):
     envs = make_envs(mode)
     single = envs.make_single_env() if isinstance(envs, OptionsVectorEnv) else envs.envs[0]
-    name = "ppo" if isinstance(single, Line) else "smdp-ppo"
+    name = "ppo" if isinstance(single, Line) else "smdp-ppo+primitives"
     result = train(name, envs, primitives=120, settings=SMALL, eval_env=single, eval_episodes=0)
     assert result.primitives >= 120
 

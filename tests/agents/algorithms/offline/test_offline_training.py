@@ -98,7 +98,7 @@ def test_what_does_not_fit_is_refused_with_what_would():
     data = load_data(make_recording(), observation="features")
     with pytest.raises(AgentSettingsError, match="behaviour-cloning"):
         train("smdp-dqn", data=data)
-    with pytest.raises(AgentSettingsError, match="acts by primitives"):
+    with pytest.raises(AgentSettingsError, match="acts with primitives"):
         train("smdp-hiql", data=data)
     with pytest.raises(AgentSettingsError, match="2 actions|3 actions"):
         train("smdp-iql", make_recording().rooms.make_env(observation="features"), data=data)
@@ -106,7 +106,7 @@ def test_what_does_not_fit_is_refused_with_what_would():
         train("smdp-dqn", primitives=100)
     with pytest.raises(UnsupportedError, match="data="):
         env = make_recording().rooms.make_env(True, observation="features")
-        train("smdp-iql", env, primitives=100, eval_episodes=0)
+        train("smdp-iql+primitives", env, primitives=100, eval_episodes=0)
     assert not set(list_offline_agents()) & set(list_agents())
 
 
