@@ -32,7 +32,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.registry import list_agents
+from hrl_escape.agents.registry import join_name, list_agents
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.cli import run_script
 from hrl_escape.comparison.comparison import run_grid
@@ -101,7 +101,7 @@ def collect_rates(lines: Iterable[Mapping[str, Any]]) -> dict[str, dict[int, flo
     Args:
         lines: of studies, with `agent`, `buttons`, `primitives` and `seconds`; two or more make a number.
     """
-    known = {name for plain in list_agents() for name in (plain, f"smdp-{plain}")}
+    known = {name for plain in list_agents() for name in (plain, join_name(plain, True))}
     found: dict[str, dict[int, list[tuple[float, int]]]] = defaultdict(lambda: defaultdict(list))
     for line in lines:
         if line["agent"] in known:

@@ -15,8 +15,9 @@ WITHOUT_PLANS: tuple[HierarchyKind, ...] = ("events", "displacements")
 """Kinds whose low level is always learned."""
 LOW_LEVELS: tuple[LowLevel, ...] = ("planned", "learned")
 
-PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program", "landmarks": "goals", "feudal": "tree",
-                                      "events": "goal_space", "displacements": "goal_space"}
+STRUCTURES: Mapping[HierarchyKind, str] = {
+    "maxq": "hierarchy", "ham": "program", "landmarks": "goals", "feudal": "tree", "events": "goal_space",
+    "displacements": "goal_space"}
 """Kind -> the argument by which agents take it."""
 
 
@@ -31,9 +32,9 @@ def find_kind(agent: str, low_level: str = "learned") -> HierarchyKind:
         raise UnsupportedError(f"{agent} chooses options, and a synthesised hierarchy calls primitives: take "
                                f"{agent.removeprefix(SMDP_PREFIX)}, or leave out `low_level`")
     part = find_hierarchy_part(agent)
-    kinds: list[HierarchyKind] = [kind for kind in KINDS if PARTS[kind] == part]
+    kinds: list[HierarchyKind] = [kind for kind in KINDS if STRUCTURES[kind] == part]
     if not kinds:
-        others = [name for name in list_hierarchy_agents() if find_hierarchy_part(name) in PARTS.values()]
+        others = [name for name in list_hierarchy_agents() if find_hierarchy_part(name) in STRUCTURES.values()]
         raise UnsupportedError(f"no hierarchy is synthesised for {agent}, but for {', '.join(others)}: leave out "
                                "`low_level`")
     kind = "displacements" if getattr(get_agent_class(agent), "names_displacements", False) else kinds[0]

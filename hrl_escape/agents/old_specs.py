@@ -18,7 +18,7 @@ from hrl_escape.agents.registry import (
 )
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
-NAMES = {
+NEW_NAMES = {
     "smdp-random": RANDOM_OPTIONS,
     "smdp-untried-nearest": "search-nearest",
     "smdp-untried": "search-random",
@@ -64,7 +64,7 @@ def convert_label(label: str, chooses_primitives: bool | None = None) -> str:
             if part not in _ORDER:
                 raise UnknownNameError("word of a label of version 0.3", word, (*_OLD_PARTS, *_ORDER))
             parts.append(part)
-    new = NAMES.get(name, name)
+    new = NEW_NAMES.get(name, name)
     is_fixed = new != RANDOM_OPTIONS and not new.startswith(SMDP_PREFIX)
     is_offline = split_name(name)[0] in list_offline_agents()  # these choose what their data set has
     if over_options and chooses_primitives and not is_fixed and not is_offline:
@@ -88,7 +88,7 @@ def refuse_old(text: str) -> None:
     """
     head, *words = text.split("+")
     name, _, recipe = head.partition("@")
-    if not (name in NAMES or (recipe and _convert_recipe(name, recipe) != recipe) or set(words) & set(_OLD_PARTS)):
+    if not (name in NEW_NAMES or (recipe and _convert_recipe(name, recipe) != recipe) or set(words) & set(_OLD_PARTS)):
         return
     known = [word for word in words if word in (*_OLD_PARTS, *_ORDER)]
     spec = convert_label("+".join((head, *known)))

@@ -324,7 +324,7 @@ class AgentSpec(Settings):
 _PLAIN_OPTIONS = OptionsView().to_dict()
 
 
-def list_specs(names: Iterable[str]) -> tuple[AgentSpec, ...]:
+def parse_specs(names: Iterable[str]) -> tuple[AgentSpec, ...]:
     """Specs of several agents."""
     return tuple(map(AgentSpec.parse, names))
 

@@ -32,7 +32,7 @@ class ConvertArgs:
     path: Annotated[Path, tyro.conf.Positional]
     """Folder or archive of a run, a submission, a grid, a recording, recorded games or a recorded episode."""
     out: Path | None = None
-    """What to write; by default beside PATH, with -converted behind its name."""
+    """File or folder to write; by default next to PATH, with -converted behind its name."""
 
 
 def run(args: ConvertArgs) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from hrl_escape.agents.old_specs import MANAGERS, NAMES, convert_label, refuse_old
+from hrl_escape.agents.old_specs import MANAGERS, NEW_NAMES, convert_label, refuse_old
 from hrl_escape.agents.registry import split_name
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.archive import (
@@ -29,8 +29,7 @@ from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoi
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
 from hrl_escape.agents.training.run_folder import BEST, LAST
 from hrl_escape.agents.training.run_folder import FORMAT as RUN_FORMAT
-from hrl_escape.comparison.grid import FORMAT as GRID_FORMAT
-from hrl_escape.comparison.grid import Grid
+from hrl_escape.comparison.grid import GRID_FORMAT, Grid
 from hrl_escape.comparison.submission import RUN, SUBMISSION
 from hrl_escape.errors import AgentSettingsError, FileReadError, UnsupportedError
 from hrl_escape.files import open_plain, read_json, read_text, read_toml, write_json, write_text
@@ -50,7 +49,7 @@ MOVED = {"hrl_escape.agents.algorithms.given.": "hrl_escape.agents.algorithms.ta
 RENAMED = {"hrl_escape.hierarchies.hierarchy_env:HierarchyEnv": {"leaves": "low_level"},
            "hrl_escape.text.text_env:TextEnv": {"told": "reveal"}}
 """Arguments of environments and wrappers that have another name now, by class."""
-FIELDS = {"flavour": "option_set"}
+NEW_FIELDS = {"flavour": "option_set"}
 """Fields that have another name now, wherever they are."""
 VALUES = {"press-markov": "press-reactive"}
 """Names of option sets that are others now."""
@@ -129,7 +128,7 @@ def convert_run_description(described: Mapping[str, Any]) -> dict[str, Any]:
 
 def _convert_name(name: str) -> str:
     """Name of an agent in a description, which says elsewhere what its choices are."""
-    return NAMES.get(name, name)
+    return NEW_NAMES.get(name, name)
 
 
 def rename_fields(value: Any) -> Any:
@@ -143,7 +142,7 @@ def rename_fields(value: Any) -> Any:
         return VALUES.get(value, value)
     if not isinstance(value, Mapping):
         return value
-    made = {FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
+    made = {NEW_FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
     names = RENAMED.get(made.get("class", ""), {}) if isinstance(made.get("class", ""), str) else {}
     if names and isinstance(made.get("arguments"), dict):
         made["arguments"] = {names.get(name, name): each for name, each in made["arguments"].items()}
@@ -192,7 +191,7 @@ def _list_parts(folder: Path, names: Iterable[str]) -> dict[str, Path | bytes]:
 
 
 def convert_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """What a submission of version 0.3 states, in the form of this version."""
+    """Statement of a submission of version 0.3 in the form of this version."""
     card = entry["card"]
     options = card["view"]["options"] if card["view"]["choices"] == "options" else {}
     name = convert_text(card["name"]) if options == {} or not _is_label(card["name"]) else convert_label(

@@ -29,7 +29,7 @@ from hrl_escape.sets.room_spec import RoomSpec
 from hrl_escape.settings import Range, Settings
 from hrl_escape.version import __version__, find_versions
 
-FORMAT = 2
+GRID_FORMAT = 2
 """Version of grid files; files of version 0.3 have none."""
 DEFAULT_ROOMS = (RoomSpec("paper-two-button"),)
 
@@ -88,7 +88,7 @@ class Grid(Settings):
     """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `SequenceEnv`."""
     until_solved: SolvedRule | None = None
     """Rule that ends a run before its budget; None for none."""
-    format: Literal[2] = FORMAT
+    format: Literal[2] = GRID_FORMAT
     """Version of the fields."""
 
     def __post_init__(self) -> None:
@@ -271,9 +271,9 @@ def load_grid(path: str | Path) -> Grid:
     path = Path(path)
     content = read_toml(path, "grid") if path.suffix.lower() == ".toml" else read_json(path, "grid")
     if isinstance(content, dict) and "format" not in content:
-        raise GridError(f"{path} has no `format = {FORMAT}`: its agents may be of version 0.3, where `smdp-dqn` also "
-                        f"chose primitives. `hrl-escape convert {path}` writes them in the new form; in a grid of your "
-                        f"own for this version add `format = {FORMAT}`")
+        raise GridError(f"{path} has no `format = {GRID_FORMAT}`: its agents may be of version 0.3, where `smdp-dqn` "
+                        f"also chose primitives. `hrl-escape convert {path}` writes them in the new form; in a grid of your "
+                        f"own for this version add `format = {GRID_FORMAT}`")
     try:
         grid = Grid.from_dict({"name": path.stem} | content if isinstance(content, dict) else content)
     except EscapeError as error:

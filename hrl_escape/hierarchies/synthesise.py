@@ -31,7 +31,7 @@ from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.agents.hierarchy_kinds import (
     KINDS,
     LOW_LEVELS,
-    PARTS,
+    STRUCTURES,
     WITHOUT_PLANS,
     HierarchyKind,
     LowLevel,
@@ -69,7 +69,7 @@ def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", low_level: 
         UnsupportedError: the puzzle needs more than presses, or a low level of this kind cannot be planned.
     """
     structure = make_structure(Situations(instance, cell), kind, low_level, abstract)
-    return structure[PARTS[kind]]
+    return structure[STRUCTURES[kind]]
 
 
 def make_structure(situations: Situations, kind: HierarchyKind, low_level: str, abstract: bool = True

@@ -51,7 +51,7 @@ class RoomEnv(Protocol):
 
     @property
     def events(self) -> Events:
-        """What happened in the latest primitive."""
+        """Events of the latest primitive."""
         ...
 
     def get_state(self) -> RoomState:

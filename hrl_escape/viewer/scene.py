@@ -20,7 +20,7 @@ from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import Rectangle, RoomInstance, compute_floors
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.pictures import meshes, palette
-from hrl_escape.env.pictures.model import LAYER, Part, RoomModel, RoomPose
+from hrl_escape.env.pictures.model import LAYER, RoomModel, RoomPart, RoomPose
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.viewer.extra import SO3, trimesh, viser
 
@@ -189,7 +189,7 @@ def make_fixtures(model: RoomModel) -> list[Painted]:
     return [painted for painted in found if len(painted.mesh.triangles)]
 
 
-def is_hidden_by(part: Part, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
+def is_hidden_by(part: RoomPart, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
     """Return whether an upright part stands between a camera and a point, tried at 64 places between them, m."""
     shares = np.arange(1, 65) / 65
     xs, ys, zs = (a + shares * (b - a) for a, b in zip(eye, point, strict=True))
@@ -206,7 +206,7 @@ def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float
     return np.column_stack([centre + side * share, height]).astype(np.float32)
 
 
-def _make_faces(wall: Part, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
+def _make_faces(wall: RoomPart, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
     """The upright faces of a wall, visible from their front only, each with its kind.
 
     A face is `inside` if it looks onto the floor, `between` if the opposite face does so too, else `outside`.
@@ -423,7 +423,7 @@ class RoomScene:
         return _add_mesh(self._scene, f"{ROOT}/{painted.name}", painted.mesh.vertices, painted.mesh.triangles,
                          painted.colour, painted.opacity)
 
-    def _add_part(self, name: str, part: Part, opacity: float | None = None) -> viser.MeshHandle:
+    def _add_part(self, name: str, part: RoomPart, opacity: float | None = None) -> viser.MeshHandle:
         return self._add(Painted(name, meshes.make_part(part), palette.LOOKS[part.role], opacity))
 
     def _add_target(self, index: int) -> viser.MeshHandle:

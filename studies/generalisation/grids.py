@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
-from hrl_escape.agents.spec import list_specs
+from hrl_escape.agents.spec import parse_specs
 from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.env.config import Between, RoomConfig
@@ -69,7 +69,7 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
         EscapeError: no such rung, or more rooms than it has.
     """
     names = args.agents or (*NAMES, *SEARCH_BASELINES, *CEILING, CHANCE, FLAT_CHANCE)
-    agents = list_specs(names)
+    agents = parse_specs(names)
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
     grid = make_protocol_grid(bench, args.rung, "generalise", agents, settings)
@@ -85,7 +85,7 @@ def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) ->
     train, tests = make_depth_sets(bench, args.shallow_rooms, args.rooms)
     return Grid(
         name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
-        agents=list_specs(args.agents or (OBJECTS, MEMORY, *SEARCH_BASELINES, *CEILING, CHANCE, KNOWN)),
+        agents=parse_specs(args.agents or (OBJECTS, MEMORY, *SEARCH_BASELINES, *CEILING, CHANCE, KNOWN)),
         train_rooms=(_save(folder, train),) * len(tests), test_rooms=tuple(_save(folder, test) for test in tests),
         runs=args.runs, first_seed=args.first_seed, primitives=args.primitives, eval_every=args.primitives,
         eval_episodes=args.rooms, observation="objects",

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hrl_escape.agents import AgentSpec, make_agent, register_agent, train
 from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.q_learning import QLearning
-from hrl_escape.agents.old_specs import NAMES, convert_label
+from hrl_escape.agents.old_specs import NEW_NAMES, convert_label
 from hrl_escape.agents.registry import agents, list_agents, list_hierarchy_agents, list_offline_agents
 from hrl_escape.agents.spec import PARTS, REFERENCES, OptionsView
 from hrl_escape.agents.text_agent import TEXT_AGENT
@@ -143,7 +143,7 @@ def test_every_shipped_agent_has_a_title_of_its_own():
     ("smdp-q-learning+markov", "smdp-q-learning+reactive+primitives"),
     ("smdp-random", "random-options+primitives"),
     ("smdp-random+no-primitives", "random-options"),
-    *((old, new) for old, new in NAMES.items() if old != "smdp-random"),
+    *((old, new) for old, new in NEW_NAMES.items() if old != "smdp-random"),
 ])
 def test_a_label_of_version_0_3_is_refused_with_its_spec(label: str, spec: str):
     assert convert_label(label) == spec == str(AgentSpec.parse(spec))

@@ -59,7 +59,7 @@ def test_parts_of_a_spec_train_what_settings_train(capsys, tmp_path):
     assert "this run was finished: nothing was trained" in call(capsys, "train", *options, *shared, "--out",
                                                                 tmp_path / "run")[1], "both are one run"
     assert_refused(capsys, ["train", "smdp-dqn+reactive", "--option-set", "press-with-ancestors"],
-                   "press-markov, as in smdp-dqn+reactive, or left out")
+                   "press-reactive, as in smdp-dqn+reactive, or left out")
     assert_refused(capsys, ["train", "dqn+memory"], "smdp-dqn+memory, which chooses among options")
     assert_refused(capsys, ["train", "smdp-dqn+no-primitives"], "it is smdp-dqn now")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hrl_escape.agents.spec import list_specs
+from hrl_escape.agents.spec import parse_specs
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.grid import Grid
@@ -56,7 +56,7 @@ def compare(agents: dict[str, Sequence[Sequence[float] | RunResult | None]], roo
         budget: primitives.
         runs: of an agent in a room; as many as the longest list has by default.
     """
-    specs = list_specs(agents)
+    specs = parse_specs(agents)
     instances = (ROOM, OTHER_ROOM)[:rooms]
     runs = runs or max(map(len, agents.values())) // rooms
     grid = Grid("made-up", agents=specs, rooms=tuple(RoomSpec(i.name) for i in instances), runs=runs, primitives=budget)

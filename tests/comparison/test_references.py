@@ -47,7 +47,7 @@ def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s
     for seed in (0, 1, 0):
         names = [name for name, _, _ in record_episode(reference, env, seed).decisions]
         order = [*names[:10], "go-to-exit"]
-        assert sorted(order[:10]) == buttons
+        assert sorted(order[:10]) == sorted(buttons)
         assert names == [order[number % 11] for number in range(len(names))], "round after round the same"
         orders.append(order)
     env.close()

@@ -70,7 +70,7 @@ def test_options_alone_reach_what_their_best_sequence_earns(tmp_path):
     score_range = compute_score_range([(room, recorder.states[0])], only, tmp_path)
     assert score_range.reachable == (max(earned),) and score_range.reachable < score_range.best
     assert score_range.fewest_reachable == (room.reward.exit - max(earned),) > score_range.fewest
-    both = compute_score_range([(room, recorder.states[0])], AgentSpec("smdp-dqn"), tmp_path)
+    both = compute_score_range([(room, recorder.states[0])], AgentSpec.parse("smdp-dqn+primitives"), tmp_path)
     assert both.reachable == both.best == score_range.best
 
 

@@ -22,7 +22,7 @@ from hrl_escape.comparison.references.bayes import (
     Ways,
     condition_on_marks,
     condition_on_room,
-    find_config,
+    find_own_config,
     iterate_outcomes,
     list_graphs,
     make_family,
@@ -150,10 +150,10 @@ def test_a_family_holds_every_labelling():
 
 
 def test_the_room_configuration_of_a_room_is_the_one_that_draws_its_puzzle():
-    assert find_config(LADDER["lattice-5"].test[0]) == LADDER["lattice-5"].config
-    assert find_config(generate(get_preset("paper-random"), 3)) == get_preset("paper-random")
+    assert find_own_config(LADDER["lattice-5"].test[0]) == LADDER["lattice-5"].config
+    assert find_own_config(generate(get_preset("paper-random"), 3)) == get_preset("paper-random")
     with pytest.raises(UnsupportedError, match="is not known"):
-        find_config(relabel(generate(get_preset("paper-two-button"), 0), (1, 0)))
+        find_own_config(relabel(generate(get_preset("paper-two-button"), 0), (1, 0)))
 
 
 # --- beliefs -------------------------------------------------------------------------------
@@ -212,7 +212,7 @@ def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: Any, kind:
 def test_who_must_find_out_what_a_mistake_does_pays_what_was_foretold(monkeypatch: pytest.MonkeyPatch):
     """Played against each of the six orders under each of the three rules; to fail costs what the exit is worth."""
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation="drawn"))
-    monkeypatch.setattr(bayes, "find_config", lambda room: config)  # the room's name is that of another
+    monkeypatch.setattr(bayes, "find_own_config", lambda room: config)  # the room's name is that of another
     room, orders = generate(config, 5), itertools.permutations(range(3))
     rooms = [relabel(room, order, rule) for order in orders for rule in VIOLATION_RULES]
     assert np.mean([pay(BAYES, each) for each in rooms]) == pytest.approx(foretell(room, config.puzzle), rel=0.02)
@@ -385,7 +385,7 @@ def test_two_buttons_touched_at_once_confuse_no_belief():
 def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypatch: pytest.MonkeyPatch):
     """Of two buttons touched in one move the first does not light and the second does: nothing went off."""
     config = dataclasses.replace(get_preset("four-button-chain"), puzzle=ButtonsConfig(count=3, on_violation=rule))
-    monkeypatch.setattr(bayes, "find_config", lambda room: config)  # the room's name is that of another
+    monkeypatch.setattr(bayes, "find_own_config", lambda room: config)  # the room's name is that of another
     room = relabel(generate(config, 5), (1, 0, 2))
     env, recorder = make_agent_env(AgentSpec(BAYES), room, "features")
     searcher = make_reference(BAYES, env, recorder)
@@ -431,7 +431,7 @@ def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatc
         marks = MarksConfig("rank", levels=4, symbols=20, shuffled=shuffled)
         config = RoomConfig(room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
                             puzzle=ButtonsConfig(count=4, marks=marks, buttons=Panels(width=1.0)))
-        monkeypatch.setattr("hrl_escape.comparison.references.bayes.find_config", lambda room, config=config: config)
+        monkeypatch.setattr(bayes, "find_own_config", lambda room, config=config: config)
         rooms = [generate(config, seed) for seed in range(5)]
         lengths[shuffled] = np.mean([play(BAYES, room)[0].mean() for room in rooms])
         nearest = np.mean([play(SEARCH_NEAREST, room)[0].mean() for room in rooms])

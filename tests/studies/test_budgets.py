@@ -96,7 +96,7 @@ def test_a_real_run_is_kept_and_not_made_twice(tmp_path: Path):
 
 def test_published_runs_count_as_made_unless_something_that_decides_them_has_changed():
     for line in {line.rung: line for line in open_store(STUDY, None).load()}.values():
-        number = int(re.findall(r"\[(\d+)\]", line.rooms)[0])
+        number = int(re.findall(r"#(\d+)$", line.rooms)[0])
         what = (line.rung, number, line.agent, line.seed, line.primitives)
         assert identify(STUDY.data, *what) == (line.place, line.key)
         for changes in ({"copies": 4}, {"episodes": 1}):

@@ -10,7 +10,7 @@ import pytest
 
 from hrl_escape.agents.hierarchy_kinds import KINDS, WITHOUT_PLANS
 from hrl_escape.agents.registry import find_agent_module
-from hrl_escape.comparison.references.bayes import find_config
+from hrl_escape.comparison.references.bayes import find_own_config
 from hrl_escape.errors import UnsupportedError
 from studies.__main__ import main
 from studies.baseline import BaselineRun
@@ -83,7 +83,7 @@ def test_advice_answers_questions_of_the_study(study: Study):
 def test_the_optimal_searcher_does_not_know_rooms_of_no_preset(study: Study):
     for room in study.grids[0].rooms:
         with pytest.raises(UnsupportedError, match="take a preset, a rung"):
-            find_config(room.make_instance())
+            find_own_config(room.make_instance())
 
 
 @STUDIES

@@ -223,14 +223,14 @@ def test_a_tower_s_grids_have_the_rungs_as_floors():
 
 def test_baselines_run_join_what_is_there_and_need_no_runs_for_the_page(tmp_path: Path, capsys):
     docs = tmp_path / "docs"
-    save("ladder", make_lines("pair", "elsewhere", 1.0, 1.0, 1), docs)
+    save("ladder", make_lines("pair", "smdp-sarsa", 1.0, 1.0, 1), docs)
     command = ["ladder", "--rung", "doormat", "--protocol", "per-instance", "--rooms", "1", "--runs", "1",
                "--primitives", "200", "--eval-episodes", "1", "--agents", "smdp-q-learning", "oracle",
                "--workers", "1", "--out", str(tmp_path / "runs"), "--docs", str(docs)]
     assert main(command) == 0
     assert "0 runs are left" in capsys.readouterr().out
     lines = {line.agent: line for line in load("ladder", docs)}
-    assert set(lines) == {"smdp-q-learning", "oracle", "elsewhere"}
+    assert set(lines) == {"smdp-q-learning", "oracle", "smdp-sarsa"}
     assert lines["oracle"].efficiency == 1.0 and lines["oracle"].primitives == 0
     page = (docs / "ladder.md").read_text()
     (docs / "ladder.md").unlink()

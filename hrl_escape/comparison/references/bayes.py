@@ -231,7 +231,7 @@ def _reweigh(family: GraphFamily, likelihood: NDArray[np.float64]) -> GraphFamil
     return family.select(kept, weights[kept] / weights.sum())
 
 
-def find_config(instance: RoomInstance) -> RoomConfig:
+def find_own_config(instance: RoomInstance) -> RoomConfig:
     """The room configuration that a room was drawn from: the preset or the rung of its name that draws its puzzle."""
     for config in _list_configs(instance.name):
         if instance.seed is not None and sample_puzzle(config, instance.seed)[1] == instance.puzzle:
@@ -548,7 +548,7 @@ class BayesPlanner(SearchBaseline):
         if self._mind is None or self._mind.room.id != self._room.instance.id:
             rooms = getattr(self._room, "rooms", None)
             self._mind = _Mind(self._room.instance,
-                               find_config(self._room.instance) if rooms is None else rooms.config, self._odds)
+                               find_own_config(self._room.instance) if rooms is None else rooms.config, self._odds)
         if is_new:
             self._mind.forget()
 

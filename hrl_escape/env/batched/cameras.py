@@ -25,31 +25,31 @@ from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import Footprint, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.pictures import palette
-from hrl_escape.env.pictures.model import Part, RoomModel
+from hrl_escape.env.pictures.model import RoomModel, RoomPart
 from hrl_escape.env.tensor_geometry import stack_shapes
 from hrl_escape.errors import UnsupportedError
 
 LABELS = ("nothing", "floor", "exit", "plate", "wall", "obstacle", "door", "target", "block", "robot")
 """Labels of a segmentation, by their number."""
 
-LOOKS = {
+LABELS_OF_LOOKS = {
     "sky": "nothing", "tile": "floor", "other tile": "floor", "exit": "exit", "open exit": "exit", "plate": "plate",
     "wall": "wall", "obstacle": "obstacle", "door": "door", "thing": "block", "frame": "target", "off": "target",
     "lit": "target", "block": "block", "body": "robot", "arrow": "robot",
 }
 """Role of each part that is drawn -> its label."""
 
-LOOK_COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(palette.LOOKS[role])) for role in LOOKS)
+LOOK_COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(palette.LOOKS[role])) for role in LABELS_OF_LOOKS)
 """Red, green and blue of each look, within [0, 255]."""
-LOOK_LABELS = tuple(map(LABELS.index, LOOKS.values()))
+LOOK_LABELS = tuple(map(LABELS.index, LABELS_OF_LOOKS.values()))
 """Index in `LABELS` of each look."""
 
 _PAINT = 0.018  # height of a plate, m
 
 
 def find_look(name: str) -> int:
-    """Index of a look in `LOOKS`."""
-    return tuple(LOOKS).index(name)
+    """Index of a look in `LABELS_OF_LOOKS`."""
+    return tuple(LABELS_OF_LOOKS).index(name)
 
 
 class Scenery(NamedTuple):
@@ -101,7 +101,7 @@ def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: tor
     return scenery, SceneryForm(sum(len(looks) for _, looks in stacked[:2]), tuple(is_straight.tolist()))
 
 
-def _stack_group(rows: Sequence[Sequence[Part]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _stack_group(rows: Sequence[Sequence[RoomPart]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Numbers (8, boxes, instances) and looks (boxes, instances) of one group."""
     most = max(map(len, rows))
     looks = np.zeros((most, len(rows)), np.int64)
@@ -120,9 +120,9 @@ def _straighten(shape: Footprint) -> Footprint:
     return shape if shape.cos else shape._replace(cos=1.0, sin=0.0, half_x=shape.half_y, half_y=shape.half_x)
 
 
-def _list_boxes(model: RoomModel, layout: Layout) -> tuple[list[Part], ...]:
+def _list_boxes(model: RoomModel, layout: Layout) -> tuple[list[RoomPart], ...]:
     """Boxes of one room, group by group in the order of `Scenery`."""
-    away = Part("sky", make_footprint(1e6, 0.0, 0.0, 0.0), 0.0, 1.0)
+    away = RoomPart("sky", make_footprint(1e6, 0.0, 0.0, 0.0), 0.0, 1.0)
     absent = [away] * (layout.targets - len(model.panels))
     props = [part._replace(shape=make_footprint(p.x, p.y, part.shape.half_x, part.shape.half_y, p.yaw), low=0.0,
                            high=_PAINT if part.role == "plate" else p.prop.height)
@@ -268,13 +268,13 @@ def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: 
         is_straight = number < len(form.scenery.is_straight) and form.scenery.is_straight[number]
         met, face = _meet_box(view, ray, inverse, things.boxes[:, number], is_straight)
         is_seen = (met < depth) & (looks[number] > 0).unsqueeze(1)
-        which = torch.where(is_seen, len(LOOKS) + _FACES * number + face, which)
+        which = torch.where(is_seen, len(LABELS_OF_LOOKS) + _FACES * number + face, which)
         depth = torch.where(is_seen, met, depth)
     rounds = _list_rounds(layout, things, state)
     for number in range(rounds.shape[1]):
         met, light = _meet_round(view, ray, inverse[2], rounds[:, number])
         is_seen = met < depth
-        which = torch.where(is_seen, len(LOOKS) + _FACES * len(looks) + number, which)
+        which = torch.where(is_seen, len(LABELS_OF_LOOKS) + _FACES * len(looks) + number, which)
         bright, depth = torch.where(is_seen, light, bright), torch.minimum(depth, met)
     place = [eye.unsqueeze(1) + depth * part for eye, part in zip(view.eye, ray, strict=True)]
     which = torch.where(_is_arrow(layout, tables, state, place), find_look("arrow"), which)
@@ -300,7 +300,7 @@ def _tabulate(things: Scenery, looks: Tensor, rounds: int) -> Tensor:
         (sin, -cos, nought))], dim=1)  # (boxes, faces, rooms), in the order of `_meet_box`
     shines = (looks == find_look("lit")) | (looks == find_look("off"))
     light = torch.where(shines.unsqueeze(1), 1.0, light).flatten(0, 1)
-    every = torch.arange(len(LOOKS), device=device).unsqueeze(1).expand(-1, rooms)
+    every = torch.arange(len(LABELS_OF_LOOKS), device=device).unsqueeze(1).expand(-1, rooms)
     bodies = torch.full((rounds, rooms), find_look("body"), device=device)
     bodies[: things.cylinders.shape[1]] = find_look("obstacle")
     entries = torch.cat([every, looks.repeat_interleave(_FACES, dim=0), bodies])

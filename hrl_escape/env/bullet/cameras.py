@@ -32,7 +32,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.pictures import meshes, palette
 from hrl_escape.env.pictures.meshes import Mesh, make_cylinder, make_shadow
-from hrl_escape.env.pictures.model import LAYER, Part, RoomModel
+from hrl_escape.env.pictures.model import LAYER, RoomModel, RoomPart
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
@@ -426,12 +426,12 @@ class Stage:
         self.roles[body], self._colours[body] = role, colour
         return body
 
-    def _add_part(self, part: Part, most: float = math.inf, shown: bool = True) -> int:
+    def _add_part(self, part: RoomPart, most: float = math.inf, shown: bool = True) -> int:
         mesh = meshes.make_part(part, most)
         # every face is lit as if it faced the sun, so panels are bright on every wall
         return self._add(mesh.facing(SUN) if part.role == "off" else mesh, part.role, shown=shown)
 
-    def _add_standing(self, *parts: Part) -> Standing:
+    def _add_standing(self, *parts: RoomPart) -> Standing:
         """Add upright parts that are cut open together, each whole and cut."""
         forms: list[list[int]] = []
         for most, shown in ((math.inf, True), (CURB, False)):
@@ -439,14 +439,14 @@ class Stage:
             for part in parts:
                 if part.role == "wall":  # a darker top makes the floor plan readable from above
                     height = min(part.high, most)
-                    top = Part("wall top", part.shape, height, height + 2 * LAYER)
+                    top = RoomPart("wall top", part.shape, height, height + 2 * LAYER)
                     bodies.append(self._add_part(top, shown=shown))
             forms.append(bodies)
         whole, cut = forms
         self.standing.append(Standing(parts[0].shape, parts[0].high, whole, cut))
         return self.standing[-1]
 
-    def _add_prop_shadow(self, part: Part) -> int:
+    def _add_prop_shadow(self, part: RoomPart) -> int:
         """Add a block's shadow: a disc, the same at every yaw of the block."""
         radius = 1.1 * part.shape.half_x
         disc = meshes.outline_footprint(make_footprint(0.0, 0.0, radius, radius, is_disc=True))

@@ -1,7 +1,7 @@
 """Triangle meshes of the parts of a room, for Bullet's cameras and the viewer.
 
-Shapes first, then the parts of a room made of them, each in the frame of its `Part`. Every face has its own vertices,
-so that edges look like edges. Faces are counter-clockwise seen from outside, metres. Nothing here collides.
+Shapes first, then the parts of a room made of them, each in the frame of its `RoomPart`. Every face has its own
+vertices, so that edges look like edges. Faces are counter-clockwise seen from outside, metres. Nothing here collides.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Footprint, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target, compute_floors
 from hrl_escape.env.pictures import palette
-from hrl_escape.env.pictures.model import LAYER, Part
+from hrl_escape.env.pictures.model import LAYER, RoomPart
 from hrl_escape.env.puzzles.mixins import Depicted, get_mixin
 from hrl_escape.env.puzzles.places import Capsule
 
@@ -210,7 +210,7 @@ def format_obj(mesh: Mesh) -> str:
 # --- parts of a room -------------------------------------------------------------------------
 
 
-def make_floor(instance: RoomInstance, casting: Iterable[Part]) -> dict[str, Mesh]:
+def make_floor(instance: RoomInstance, casting: Iterable[RoomPart]) -> dict[str, Mesh]:
     """Tiles, shadows that parts cast on them, and puddles, by their roles; none without triangles."""
     floors, side = compute_floors(instance), palette.choose_tile(instance)
     shadows = [make_shadow(outline_footprint(part.shape), part.high, LAYER, floor)
@@ -222,7 +222,7 @@ def make_floor(instance: RoomInstance, casting: Iterable[Part]) -> dict[str, Mes
     return {role: mesh for role, mesh in found.items() if len(mesh.triangles)}
 
 
-def make_part(part: Part, most: float = math.inf) -> Mesh:
+def make_part(part: RoomPart, most: float = math.inf) -> Mesh:
     """A part in its own frame, cut at a height over its lowest."""
     shape = part.shape
     if part.low == part.high:

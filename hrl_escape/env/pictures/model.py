@@ -21,7 +21,7 @@ ABOVE_FLOOR = 0.02
 """Lowest edge of panels and doors, m."""
 
 
-class Part(NamedTuple):
+class RoomPart(NamedTuple):
     """An upright prism of one colour; paint on the floor if `low` and `high` are equal."""
 
     role: str  # key of `palette.LOOKS`
@@ -33,9 +33,9 @@ class Part(NamedTuple):
 class Panel(NamedTuple):
     """Parts of a target."""
 
-    face: Part  # lights up
-    frame: Part  # round the face, a little thinner
-    mat: Part  # paint on the floor in front of it
+    face: RoomPart  # lights up
+    frame: RoomPart  # round the face, a little thinner
+    mat: RoomPart  # paint on the floor in front of it
 
 
 class RoomPose(NamedTuple):
@@ -53,7 +53,7 @@ class RoomPose(NamedTuple):
 
 
 class RoomLook(NamedTuple):
-    """What the puzzle's state shows."""
+    """Facts of a puzzle's state that pictures show."""
 
     lit: tuple[bool, ...]  # true for each target that is on
     shut: tuple[bool, ...]  # true for each inner door or thing that blocks the way
@@ -84,16 +84,16 @@ class RoomModel:
         rim = min(0.12, 0.1 * half_x, 0.1 * half_y)
         inner = Rectangle(area.x_min + rim, area.x_max - rim, area.y_min + rim, area.y_max - rim)
         self.exit = _make_paint("exit", inner, 3 * LAYER), _make_paint("exit edge", area, 2 * LAYER)
-        self.solids = tuple(Part("wall" if solid.role == "wall" else "obstacle", solid.footprint, 0.0, solid.height)
+        self.solids = tuple(RoomPart("wall" if solid.role == "wall" else "obstacle", solid.footprint, 0.0, solid.height)
                             for solid in instance.solids)
         self.panels = tuple(_make_panel(instance, target) for target in instance.targets)
         self.inner_doors = tuple(map(_make_inner_door, instance.inner_doors))
         door = instance.door
-        self.leaf = None if door is None else Part(
+        self.leaf = None if door is None else RoomPart(
             "door", make_footprint(door.half_x, 0.0, door.half_x, 0.6 * door.half_y), ABOVE_FLOOR, door.height)
         self.hinge = (0.0, 0.0) if door is None else (door.x - math.cos(door.yaw) * door.half_x,
                                                       door.y - math.sin(door.yaw) * door.half_x)
-        self.props = tuple(Part(
+        self.props = tuple(RoomPart(
             placed.prop.kind, make_footprint(0.0, 0.0, placed.prop.half_size, placed.prop.half_size),
             *((3 * LAYER,) * 2 if placed.prop.kind == "plate" else (-placed.prop.height / 2, placed.prop.height / 2)))
             for placed in instance.props)
@@ -125,7 +125,7 @@ class RoomModel:
                         tuple(bool(shut >> number & 1) for number in range(len(self.inner_doors))),
                         puzzle.is_solved(state.puzzle))
 
-    def place_leaf(self, angle: float) -> Part:
+    def place_leaf(self, angle: float) -> RoomPart:
         """The exit's door in the room's frame, at an angle on its hinge, rad."""
         assert self.leaf is not None and self.instance.door is not None
         yaw, (x, y), half = self.instance.door.yaw + angle, self.hinge, self.leaf.shape.half_x
@@ -138,8 +138,8 @@ def _measure(area: Rectangle) -> tuple[float, float]:
     return (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
 
 
-def _make_paint(role: str, area: Rectangle, height: float) -> Part:
-    return Part(role, make_footprint(*area.centre, *_measure(area)), height, height)
+def _make_paint(role: str, area: Rectangle, height: float) -> RoomPart:
+    return RoomPart(role, make_footprint(*area.centre, *_measure(area)), height, height)
 
 
 def _make_panel(instance: RoomInstance, target: Target) -> Panel:
@@ -150,12 +150,13 @@ def _make_panel(instance: RoomInstance, target: Target) -> Panel:
     deep = target.half_y + (min(0.4, 0.5 * instance.robot.inner_radius) if target.kind == "panel" else 0.0)
     mat = make_footprint(target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2, target.half_x, deep / 2,
                          target.yaw)
-    return Panel(Part("off", target.footprint, low, high), Part("frame", frame, max(0.0, low - rim), high + rim),
-                 Part("mat", mat, 4 * LAYER, 4 * LAYER))
+    return Panel(RoomPart("off", target.footprint, low, high),
+                 RoomPart("frame", frame, max(0.0, low - rim), high + rim),
+                 RoomPart("mat", mat, 4 * LAYER, 4 * LAYER))
 
 
-def _make_inner_door(door: Solid) -> Part:
+def _make_inner_door(door: Solid) -> RoomPart:
     """A door that fills its cell, or a thing that fills half of it."""
     role, share = ("door", 0.98) if door.role == "door" else ("thing", 0.5)
     shape = make_footprint(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
-    return Part(role, shape, ABOVE_FLOOR, door.height)
+    return RoomPart(role, shape, ABOVE_FLOOR, door.height)

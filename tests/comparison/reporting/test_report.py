@@ -151,7 +151,7 @@ def test_the_page_carries_curves_against_three_axes_profiles_and_replays(summary
     for agent in summary.agents:
         kinds = [kind for replay in data["replays"] if replay["agent"] == agent.label for kind in replay["kinds"]]
         assert sorted(kinds) == ["best", "median"]
-    assert data["rooms"][0]["options"] == ["press-button-1", "press-button-2", "go-to-exit"]
+    assert data["rooms"][0]["options"] == ["go-to-exit", "press-button-1", "press-button-2"]
 
 
 def test_replays_are_the_best_and_the_median_episode_of_all_runs(finished: Comparison):

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.env.batched.cameras import LABELS, LOOKS, BatchedCamera
+from hrl_escape.env.batched.cameras import LABELS, LABELS_OF_LOOKS, BatchedCamera
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.bullet import cameras as bullet_cameras
@@ -24,8 +24,9 @@ ALSO = {"paper-two-button": {"floor", "exit", "robot"}, "clutter": {"floor", "ob
 
 def label_bodies(stage):
     """Label of each body of Bullet's scenery; paint that is no exit is floor."""
-    return {body: LOOKS.get(role.replace(" edge", "").replace(" top", ""), "floor") if role not in ("trim", "arm")
-            else "robot" for body, role in stage.roles.items()}
+    roles = {body: role.replace(" edge", "").replace(" top", "") for body, role in stage.roles.items()}
+    return {body: "robot" if role in ("trim", "arm") else LABELS_OF_LOOKS.get(role, "floor")
+            for body, role in roles.items()}
 
 
 def look_with_bullet(room, camera):
