@@ -272,8 +272,8 @@ def load_grid(path: str | Path) -> Grid:
     content = read_toml(path, "grid") if path.suffix.lower() == ".toml" else read_json(path, "grid")
     if isinstance(content, dict) and "format" not in content:
         raise GridError(f"{path} has no `format = {GRID_FORMAT}`: its agents may be of version 0.3, where `smdp-dqn` "
-                        f"also chose primitives. `hrl-escape convert {path}` writes them in the new form; in a grid of your "
-                        f"own for this version add `format = {GRID_FORMAT}`")
+                        f"also chose primitives. `hrl-escape convert {path}` writes them in the new form; in a grid of "
+                        f"your own for this version add `format = {GRID_FORMAT}`")
     try:
         grid = Grid.from_dict({"name": path.stem} | content if isinstance(content, dict) else content)
     except EscapeError as error:
