@@ -7,8 +7,7 @@ from .agent import (
     compute_backup,
     make_transition,
 )
-from .batch_agent import BatchAgent
-from .decisions import Decisions, Moments, Policy
+from .decisions import Policy
 from .hierarchy.machine import choose, do, machine
 from .hierarchy.runner import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
@@ -28,16 +27,13 @@ __all__ = [
     "AgentSpec",
     "AgentSettings",
     "BaseTask",
-    "BatchAgent",
     "Call",
     "Callback",
-    "Decisions",
     "Evaluation",
     "Hierarchy",
     "Kept",
     "LearningSettings",
     "MLflow",
-    "Moments",
     "OptionPolicy",
     "OptunaPruning",
     "Policy",

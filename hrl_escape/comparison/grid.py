@@ -23,6 +23,7 @@ from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError
 from hrl_escape.files import read_json, read_toml
 from hrl_escape.names import make_file_name
+from hrl_escape.options.option_sets import check_option_set
 from hrl_escape.sets.grammar import find_sets
 from hrl_escape.sets.places import RunPlace
 from hrl_escape.sets.room_spec import RoomSpec
@@ -110,6 +111,8 @@ class Grid(Settings):
             if not members:
                 raise GridError(f"grid {self.name!r} has no {what}: give at least one")
         _refuse_duplicates("agent label", [agent.label for agent in self.agents])
+        for agent in self.agents:
+            check_option_set(agent.options.option_set)
         if not get_observation(self.observation).is_vector:
             raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
 

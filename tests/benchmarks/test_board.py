@@ -39,7 +39,7 @@ def test_the_sentence_of_a_rung_follows_its_rows():
     assert conclude([*rows, make_row("mine", 0.3)]).startswith("No agent is shown to beat the 0.70 of nearest")
     assert "the best, yours, has 0.600" in conclude([lower, floor, make_row("mine", 0.3), make_row("yours", 0.6)])
     assert conclude(rows) == conclude([make_row("mine", 0.9)]) == (
-        "No agent stands beside a searcher that learns nothing yet.")
+        "No search baseline was run yet.")
 
 
 def test_words_of_strangers_are_no_markup_and_hidden_rooms_have_a_column():

@@ -168,7 +168,7 @@ class _IsomorphismCheck(Claims):
         self.env, self.reference = env, reference
         self.room: Any = env.unwrapped
         self.puzzle = self.room.instance.puzzle
-        texts = self.puzzle.target_names if goals is None else goals
+        texts = [f"press-{name}" for name in self.puzzle.target_names] if goals is None else goals
         self.goals = [parse_goal(text, self.room.instance) for text in texts]
         super().__init__(f"puzzle {self.puzzle.kind!r}")
         self.planner = RoomPlanner(self.room.instance)

@@ -337,7 +337,7 @@ def test_plans_come_true_and_are_no_shorter_than_their_bounds(method):
         room = generate(SMALL, seed)
         planner = RoomPlanner(room, method)
         state = planner.rules.make_state(room.starts[0])
-        for goal in ("button-1", "button-2", "1,1,90"):
+        for goal in ("press-button-1", "press-button-2", "1,1,90"):
             plan = planner.plan(state, goal)
             assert plan.cost >= LegBounds(room).bound_goals(state, [parse_goal(goal, room)])
             assert min(measure_gap(planner.rules, s) for s in plan.states) > 1e-3 - 1e-7

@@ -117,7 +117,7 @@ def test_an_escape_and_a_failure_pay_alike_in_a_room_and_in_a_batch():
     room = generate(failing, 0)
     planner = RoomPlanner(room)
     start = planner.rules.make_state(room.starts[0])
-    order = [operator.target for operator in room.symbolic_model.operators]
+    order = [f"press-{operator.target}" for operator in room.symbolic_model.operators]
     wrong = next(name for name in order if _fails(planner, start, name))
     primitives = planner.plan(start, wrong).primitives
     earned, terminated = play(gymnasium.make("hrl_escape/EscapeRoom-v1", config=failing), primitives)

@@ -309,14 +309,14 @@ def test_an_unknown_option_set_is_refused():
 def test_press_goes_and_then_reaches_at_the_cost_of_one_plan(name):
     env = EscapeRoomEnv(name)
     planner = get_planner(env.instance)
-    wrapped = OptionsEnv(env, [make_press(planner, 0), make_press(planner, "button-2"),
-                               *make_meta_options(env.instance)], include_primitives=False)
-    for nested, whole in ((0, 2), (1, 3)):
-        wrapped.reset(seed=0)
-        info = wrapped.step(nested)[4]
-        wrapped.reset(seed=0)
-        assert info["option"]["ended"] == "reached" and np.flatnonzero(info["pressed"]).tolist() == [nested]
-        assert info["duration"] == wrapped.step(whole)[4]["duration"]
+    nested, whole = (OptionsEnv(env, options, include_primitives=False) for options in (
+        [make_press(planner, 0), make_press(planner, "button-2")], make_meta_options(env.instance)))
+    for number in range(2):
+        nested.reset(seed=0)
+        info = nested.step(number)[4]
+        assert info["option"]["ended"] == "reached" and np.flatnonzero(info["pressed"]).tolist() == [number]
+        whole.reset(seed=0)
+        assert info["duration"] == whole.step(number)[4]["duration"]
     check_option(make_press(planner, 1), env, runs=4)
 
 

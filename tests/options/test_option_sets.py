@@ -54,7 +54,7 @@ def test_a_set_of_ones_own_makes_the_options_of_any_room():
 
 def test_it_is_trained_on_by_name_and_the_run_keeps_the_name(tmp_path, capsys):
     out = tmp_path / "run"
-    assert main(["train", "smdp-q-learning", "--option-set", "second-or-home", "--options-only", "--primitives", "100",
+    assert main(["train", "smdp-q-learning", "--option-set", "second-or-home", "--primitives", "100",
                  "--eval-episodes", "0", "--out", str(out)]) == 0
     assert '"option_set": "second-or-home"' in (out / "run.json").read_text()
     capsys.readouterr()

@@ -19,7 +19,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError
+from hrl_escape.errors import UnknownNameError
 from hrl_escape.options.best_with_options import best_return_with_options, find_best_with_options
 from hrl_escape.options.option import ScriptedOption
 from hrl_escape.planning import best_known
@@ -210,7 +210,7 @@ def test_given_options_are_searched_by_running_them():
     slow = [ScriptedOption("west-east", [3, 2, 2]), ScriptedOption("north", [2] * 5)]
     assert best_return_with_options(instance, slow) == 100 - 10 + 1, "two norths, the second cut short by the exit"
     assert best_return_with_options(instance, [ScriptedOption("turn", [4])]) == -1000
-    with pytest.raises(ConfigError):
+    with pytest.raises(UnknownNameError, match="did you mean 'press'"):
         best_return_with_options(instance, "pres")
 
 

@@ -109,7 +109,7 @@ def test_solve_escapes_at_the_extremes_of_the_knobs(name):
     env.close()
 
 
-@pytest.mark.parametrize("goal", ["button-1", "button-2", "exit", "3,-4", "3,-4,90", RegionGoal(-2, -1, -6, -5),
+@pytest.mark.parametrize("goal", ["press-button-1", "press-button-2", "go-to-exit", "3,-4", "3,-4,90", RegionGoal(-2, -1, -6, -5),
                                   PressGoal(1), ExitGoal(), PoseGoal(-5, 5, np.pi, 0.3)])
 def test_plan_reaches_goals_of_every_kind(planner, start, goal):
     plan = planner.plan(start, goal)
@@ -203,9 +203,9 @@ def fail(planner, state, goal) -> PlanningFailed:
 
 
 def test_an_unreachable_goal_is_proven_so(planner, start):
-    failure = fail(make_walled_in(planner), start, "button-2")
+    failure = fail(make_walled_in(planner), start, "press-button-2")
     assert failure.reason is PlanningReason.UNREACHABLE_PROVEN
-    assert failure.goal == "button-2" and failure.start[:2] == (0.0, 0.0) and failure.planners == ("fields",)
+    assert failure.goal == "press-button-2" and failure.start[:2] == (0.0, 0.0) and failure.planners == ("fields",)
     assert failure.seconds > 0
 
 
@@ -215,7 +215,7 @@ def test_a_goal_inside_a_solid_is_invalid(planner, start):
 
 
 def test_a_start_inside_a_solid_is_invalid(planner, start):
-    assert fail(planner, start._replace(x=9.8), "button-1").reason is PlanningReason.START_INVALID
+    assert fail(planner, start._replace(x=9.8), "press-button-1").reason is PlanningReason.START_INVALID
 
 
 def test_a_target_too_high_for_the_hand_has_no_posture():
@@ -223,7 +223,7 @@ def test_a_target_too_high_for_the_hand_has_no_posture():
     high = (dataclasses.replace(instance.targets[0], z=9.0), instance.targets[1])
     planner = RoomPlanner(dataclasses.replace(instance, targets=high))
     state = planner.rules.make_state(instance.starts[0])
-    assert fail(planner, state, "button-1").reason is PlanningReason.NO_POSTURE
+    assert fail(planner, state, "press-button-1").reason is PlanningReason.NO_POSTURE
     assert planner.plan(state, "press-button-2").cost > 0
 
 
@@ -231,8 +231,8 @@ def test_a_budget_that_runs_out_says_so_at_the_same_place_every_time():
     instance = generate(get_preset("clutter"), 0)
     planner = RoomPlanner(instance, budget=5)
     state = planner.rules.make_state(instance.starts[0])
-    assert fail(planner, state, "button-4").reason is PlanningReason.BUDGET_EXHAUSTED
-    assert str(fail(planner, state, "button-4")) == str(fail(planner, state, "button-4"))
+    assert fail(planner, state, "press-button-4").reason is PlanningReason.BUDGET_EXHAUSTED
+    assert str(fail(planner, state, "press-button-4")) == str(fail(planner, state, "press-button-4"))
 
 
 def test_a_time_limit_that_passes_says_so_and_is_not_remembered():
@@ -241,7 +241,7 @@ def test_a_time_limit_that_passes_says_so_and_is_not_remembered():
     state = planner.rules.make_state(instance.starts[0])
     planner.plan(state, "press-button-1")
     planner.routes.time_limit = 0.0
-    assert fail(planner, state, "button-4").reason is PlanningReason.TIMEOUT
+    assert fail(planner, state, "press-button-4").reason is PlanningReason.TIMEOUT
     planner.routes.time_limit = 60.0
     assert planner.plan(state, "press-button-4").cost > 0
 
@@ -249,7 +249,7 @@ def test_a_time_limit_that_passes_says_so_and_is_not_remembered():
 def test_an_escape_that_cannot_be_names_the_part_that_fails(planner, start):
     with pytest.raises(PlanningFailed) as caught:
         make_walled_in(planner).solve(start)
-    assert caught.value.goal == "button-2" and caught.value.reason is PlanningReason.UNREACHABLE_PROVEN
+    assert caught.value.goal == "press-button-2" and caught.value.reason is PlanningReason.UNREACHABLE_PROVEN
 
 
 def test_a_puzzle_without_a_way_names_its_precondition():
@@ -365,7 +365,7 @@ def test_ten_thousand_plans_grow_a_planner_by_six_mib_at_most():
                 before = tracemalloc.get_traced_memory()[0]
             x, y = rng.uniform(-half, half, 2).tolist()
             planner.plan(start._replace(x=x, y=y, heading_steps=int(rng.integers(planner.rules.headings))),
-                         ("button-1", "button-2", "exit")[number % 3])
+                         ("press-button-1", "press-button-2", "go-to-exit")[number % 3])
         gc.collect()
         assert tracemalloc.get_traced_memory()[0] - before < 6 * 2**20
     finally:
@@ -395,7 +395,7 @@ def test_goals_and_their_words_belong_together(planner):
 
 
 def test_failures_survive_pickling(planner, start):
-    failure = fail(make_walled_in(planner), start, "button-2")
+    failure = fail(make_walled_in(planner), start, "press-button-2")
     copy = pickle.loads(pickle.dumps(failure))
     assert (str(copy), copy.reason, copy.goal) == (str(failure), failure.reason, failure.goal)
 
@@ -426,7 +426,7 @@ def test_a_plan_is_json_text_and_picture(planner, start, tmp_path):
     plan = planner.solve(start)
     content = json.loads(json.dumps(plan.to_dict()))
     assert content["cost"] == plan.cost == len(content["primitives"]) and content["return"] == plan.compute_return()
-    assert [part["name"] for part in content["parts"]] == ["press-button-1", "press-button-2", "exit"]
+    assert [part["name"] for part in content["parts"]] == ["press-button-1", "press-button-2", "go-to-exit"]
     assert "press-button-2" in str(plan) and str(plan.cost) in str(plan)
     plan.draw(tmp_path / "plan.png")
     assert (tmp_path / "plan.png").stat().st_size > 10_000
@@ -439,7 +439,7 @@ def test_a_plan_is_json_text_and_picture(planner, start, tmp_path):
 def test_remembering_changes_no_plan(planner, start):
     """Plans asked for in another order, by another planner, or again, are the same."""
     other = RoomPlanner(planner.instance)
-    goals = ["button-2", "exit", "3,-4,90", "button-1"]
+    goals = ["press-button-2", "go-to-exit", "3,-4,90", "press-button-1"]
     expected = {goal: planner.plan(start, goal).primitives for goal in goals}
     for goal in [*reversed(goals), *goals]:
         assert other.plan(start, goal).primitives == expected[goal]
@@ -454,7 +454,7 @@ def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
     solved = next(puzzle for puzzle in range(16) if planner.instance.puzzle.is_solved(puzzle))
     states = [start, start._replace(heading_steps=(start.heading_steps + 4) % 36), start._replace(touching=0),
               start._replace(puzzle=solved)]
-    for goal in ("button-2", "button-3", "exit"):
+    for goal in ("press-button-2", "press-button-3", "go-to-exit"):
         for state in states:
             answers = []
             for asked in (planner, RoomPlanner(planner.instance)):
@@ -496,7 +496,7 @@ def test_planners_survive_pickling(planner, start):
 
 def test_threads_share_a_planner(planner, start):
     fresh, found = RoomPlanner(planner.instance), []
-    goals = ["button-1", "button-2", "exit", "3,-4", "-3,4", "5,5"]
+    goals = ["press-button-1", "press-button-2", "go-to-exit", "3,-4", "-3,4", "5,5"]
     threads = [threading.Thread(target=lambda g=goal: found.append((g, fresh.plan(start, g).primitives)))
                for goal in goals * 3]
     for thread in threads:

@@ -52,7 +52,7 @@ def test_several_goals_are_reached_in_the_order_given(planner, start):
     result = planner.answer(PlanningRequest(start, ("press-button-1", "0,-5", PressGoal(0))))
     assert result.plan is not None and [part.name for part in result.plan.parts] == ["press-button-1", "go-to-0,-5",
                                                                                      "press-button-1"]
-    assert result.plan.name == "press-button-1, 0,-5, press-button-1"
+    assert result.plan.name == "press-button-1, go-to-0,-5, press-button-1"
     env = EscapeRoomEnv(instance=planner.instance)
     env.reset(options={"state": start})
     assert result.plan.execute(env).as_predicted
@@ -153,7 +153,7 @@ def test_improvement_is_monotone_reported_and_reaches_the_reference():
 def test_improvement_ends_when_the_search_nodes_of_its_budget_are_spent(name):
     planner = RoomPlanner(generate(get_preset(name), 5))
     start = planner.rules.make_state(planner.instance.starts[0])
-    for goal in (None, "button-1"):
+    for goal in (None, "press-button-1"):
         result = planner.answer(PlanningRequest(start, goal, improve=True, budget=30_000))
         assert result.plan is not None and not result.cut_short
         assert result.spent <= 33_000, "a leg may be under way when the last node is spent"
@@ -168,8 +168,8 @@ def test_nodes_of_a_search_that_failed_count_as_spent(planner, start):
 @pytest.mark.nightly
 def test_answers_are_the_same_in_any_order_and_again(start, planner):
     requests = [PlanningRequest(start, goal, method=method, seed=seed, improve=improve)
-                for goal, method, seed, improve in (("button-1", "RRTConnect", 0, False), ("button-1", None, 0, True),
-                                                    ("button-1", "RRTConnect", 7, False), ("0,3", "BITstar", 1, False))]
+                for goal, method, seed, improve in (("press-button-1", "RRTConnect", 0, False), ("press-button-1", None, 0, True),
+                                                    ("press-button-1", "RRTConnect", 7, False), ("0,3", "BITstar", 1, False))]
 
     def answer(asked):
         fresh = RoomPlanner(planner.instance)

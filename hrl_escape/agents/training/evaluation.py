@@ -83,11 +83,11 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
 
 
 def list_layers(env: gymnasium.Env) -> Iterator[Any]:
-    """Yield an environment and everything that it wraps, outermost first; of a `SequenceEnv`, every floor."""
+    """Yield an environment and everything that it wraps, outermost first; of a `SequenceEnv`, every part."""
     while isinstance(env, gymnasium.Wrapper):
         yield env
-        for floor in getattr(env, "floors", (env.env,))[1:]:
-            yield from list_layers(floor)
+        for part in getattr(env, "parts", (env.env,))[1:]:
+            yield from list_layers(part)
         env = env.env
     yield env
 

@@ -134,7 +134,7 @@ def test_an_episode_that_failed_is_over_and_no_success():
     for seed in range(12):
         env.reset(seed=seed)
         state = env.unwrapped.get_state()
-        wrong = "abc"[(state.puzzle[0] + 1) % 3]
+        wrong = f"press-{'abc'[(state.puzzle[0] + 1) % 3]}"
         for primitive in planner.plan(state, wrong).primitives:
             _, reward, terminated, _, info = env.step(primitive)
         endings.add((reward, terminated, info["is_success"]))
