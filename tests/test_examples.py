@@ -17,7 +17,7 @@ LESSONS = [
      [r"6 primitives: forward, back", r"1,500 random primitives: \d+ presses"]),
     ("door_2_options.py", [],
      [r"press-button-1: \d+ primitives, reached, .*pressed \['button-1'\]", r"escaped: True, return \d+"]),
-    ("door_3_training.py", ["--agent", "random-options", "--primitives", "500"],
+    ("door_3_training.py", ["--agent", "random-options+primitives", "--primitives", "500"],
      [r"  0 primitives: return", r"  5\d\d primitives: return", r"press-button-\d: \d+ primitives, reward -\d+"]),
     ("door_4_planner.py", ["--room", "paper-two-button", "--draw", "plan.svg"],
      [r"total +\d+", r"driven: escaped True.*every state as predicted: True"]),

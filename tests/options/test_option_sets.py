@@ -81,7 +81,8 @@ def test_the_best_return_with_it_counts_its_options_alone():
 
 @pytest.mark.parametrize("ask", [
     lambda name: OptionsEnv(EscapeRoomEnv(), option_set=name), lambda name: BatchedOptionsEnv(1, option_set=name),
-    lambda name: OptionDegradation(option_set=name), lambda name: OptionsView(option_set=name),
+    lambda name: OptionDegradation(option_set=name),
+    lambda name: Grid(agents=(AgentSpec("smdp-dqn", options=OptionsView(option_set=name)),)),
     lambda name: make_meta_options(EscapeRoomEnv().instance, name),
     lambda name: find_best_with_options(EscapeRoomEnv().instance, None, name),
     lambda name: OptionsEnv(EscapeRoomContinuousEnv(), option_set=name),

@@ -109,8 +109,8 @@ def test_solve_escapes_at_the_extremes_of_the_knobs(name):
     env.close()
 
 
-@pytest.mark.parametrize("goal", ["press-button-1", "press-button-2", "go-to-exit", "3,-4", "3,-4,90", RegionGoal(-2, -1, -6, -5),
-                                  PressGoal(1), ExitGoal(), PoseGoal(-5, 5, np.pi, 0.3)])
+@pytest.mark.parametrize("goal", ["press-button-1", "press-button-2", "go-to-exit", "3,-4", "3,-4,90",
+                                  RegionGoal(-2, -1, -6, -5), PressGoal(1), ExitGoal(), PoseGoal(-5, 5, np.pi, 0.3)])
 def test_plan_reaches_goals_of_every_kind(planner, start, goal):
     plan = planner.plan(start, goal)
     meant = parse_goal(goal, planner.instance) if isinstance(goal, str) else goal

@@ -168,8 +168,9 @@ def test_nodes_of_a_search_that_failed_count_as_spent(planner, start):
 @pytest.mark.nightly
 def test_answers_are_the_same_in_any_order_and_again(start, planner):
     requests = [PlanningRequest(start, goal, method=method, seed=seed, improve=improve)
-                for goal, method, seed, improve in (("press-button-1", "RRTConnect", 0, False), ("press-button-1", None, 0, True),
-                                                    ("press-button-1", "RRTConnect", 7, False), ("0,3", "BITstar", 1, False))]
+                for goal, method, seed, improve in (
+                    ("press-button-1", "RRTConnect", 0, False), ("press-button-1", None, 0, True),
+                    ("press-button-1", "RRTConnect", 7, False), ("0,3", "BITstar", 1, False))]
 
     def answer(asked):
         fresh = RoomPlanner(planner.instance)
