@@ -44,7 +44,7 @@ draw_card(recording)
 # Cloning does what you did most often. Q-iteration puts the best parts of your episodes together: no way through the
 # room is better that consists of choices you made.
 
-for agent, settings in (("smdp-behaviour-cloning", {}), ("smdp-fitted-q", {"gamma": 0.99})):
+for agent, settings in (("smdp-behaviour-cloning+primitives", {}), ("smdp-fitted-q+primitives", {"gamma": 0.99})):
     result = train(agent, data=data, settings={"values": "table", **settings}, eval_episodes=1)
     last = result.evaluations[-1]
     print(f"{agent}: return {last.mean_return:g} after {last.lengths[0]} primitives")
