@@ -103,21 +103,22 @@ def test_every_command_is_on_the_page_of_the_command_line(site: Path):
 TUTORIALS = {
     "first_escape": r"escaped: True, return 61 best known return: 66",
     "flat_gets_stuck": r"paper-two-button: random, 5,000 primitives: 0 escapes, "
-                       r".* q-learning: returns \[(-1000, )+-1000\] smdp-q-learning: returns \[-?\d+, .* [3-6]\d\] ",
+                       r".* q-learning: returns \[(-1000, )+-1000\] smdp-q-learning\+primitives: returns \[-?\d+, .* [3-6]\d\] ",
     "options_by_hand": r"reached, reward -8, discounted -7.73, gamma\^k 0.923 to-the-left-wall: cannot start here",
-    "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning: mean return (?:19|2\d)\.\d after .* "
-                       r"q-learning: mean return -200.0 .* random-options: mean return -?1?\d\.\d",
+    "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning\+primitives: mean return (?:19|2\d)\.\d after .* "
+                       r"q-learning: mean return -200.0 .* random-options\+primitives: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by press-button-1, then press-button-2, then go-to-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",
     "goals": r"primitive 11: on\(button-1\) primitive 21: touch\(button-2\) .* primitive 34: exit "
              r"left to go: \[3. 0.\] left to go: \[2. 0.\] option-keyboard: first escape after \d+ primitives",
     "own_agent": r"own network: return -1000 untrained, [56]\d at the end variant: .* own agent: .*, [56]\d at the end",
-    "generalise": r"learner: [12]\d of 20 escapes, (\d+) primitives .*chance: .*searcher: 20 of 20 .*planner: 20 of 20",
+    "generalise": r"learner: [12]\d of 20 escapes, (\d+) primitives .*random policy: "
+                  r".*search baseline: 20 of 20 .*oracle: 20 of 20",
     "many_rooms": r"16 rooms at once: 3\d,\d+ primitives in \d+ s .*an unseen room: escaped after \d+ primitives",
     "plan_arm": r"[1-9]\d postures, joint margin .* places of the arm tested on the way escape: [12]\d primitives",
     "torchrl_options": r"5,120 decisions: +[1-9]\d+ escapes .* targets of long walks: -?\d+\.\d with durations",
-    "own_play": r"142 primitives, 16 decisions, 3 episodes.* smdp-fitted-q: return 64 after 36 primitives",
+    "own_play": r"142 primitives, 16 decisions, 3 episodes.* smdp-fitted-q\+primitives: return 64 after 36 primitives",
     "language_model_tools": r"Wrong call: There is no such tool.* The game is over: escaped.* invalid_calls=1",
     "parts_of_a_hierarchy": r"[\d,]+ runs of design [0-9a-f]{16} ignore, flat: 2: .* reset, options \+ both: 2: \d\d, ",
     "new_puzzle": r"combination: button-4, button-3, button-1, button-2 plan: press-button-4, .* return [1-9]\d",
