@@ -103,9 +103,11 @@ def test_every_command_is_on_the_page_of_the_command_line(site: Path):
 TUTORIALS = {
     "first_escape": r"escaped: True, return 61 best known return: 66",
     "flat_gets_stuck": r"paper-two-button: random, 5,000 primitives: 0 escapes, "
-                       r".* q-learning: returns \[(-1000, )+-1000\] smdp-q-learning\+primitives: returns \[-?\d+, .* [3-6]\d\] ",
+                       r".* q-learning: returns \[(-1000, )+-1000\] "
+                       r"smdp-q-learning\+primitives: returns \[-?\d+, .* [3-6]\d\] ",
     "options_by_hand": r"reached, reward -8, discounted -7.73, gamma\^k 0.923 to-the-left-wall: cannot start here",
-    "own_environment": r"fetch: 11 primitives, reached.* smdp-q-learning\+primitives: mean return (?:19|2\d)\.\d after .* "
+    "own_environment": r"fetch: 11 primitives, reached.* "
+                       r"smdp-q-learning\+primitives: mean return (?:19|2\d)\.\d after .* "
                        r"q-learning: mean return -200.0 .* random-options\+primitives: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by press-button-1, then press-button-2, then go-to-exit",
