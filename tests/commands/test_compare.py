@@ -161,7 +161,7 @@ def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pyte
     assert call(capsys, *arguments)[0] == 0
     code, _, err = call(capsys, *arguments, "--room", "clutter")
     assert code == 2 and "holds a run that differs in environment.arguments.instance" in err
-    code, _, err = call(capsys, *arguments, "--seed", 1)
+    code, _, err = call(capsys, *arguments, "--room", "paper-two-button", "--seed", 1)
     assert code == 2 and "seed: 0 there, 1 now" in err
 
 

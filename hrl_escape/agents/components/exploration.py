@@ -101,8 +101,10 @@ def compute_exploration(values: Any, mask: Any, *, epsilon: float = 0.0, tempera
 def measure_conduct(policy: Any, values: Any, mask: Any, action: Any) -> dict[str, float]:
     """Entropy of exploring policies in nats, and share of greedy choices, to log; means over the rows.
 
-    Policies, values and masks are (n, actions), actions (n,), arrays or tensors.
+    Policies, values and masks are (n, actions), actions (n,), arrays or tensors. Without rows there is nothing to log.
     """
+    if len(action) == 0:
+        return {}
     if len(action) == 1:  # Python takes a tenth of the time for one row
         shares, row = policy[0].tolist(), values[0].tolist()
         best = max(value for value, is_legal in zip(row, mask[0].tolist(), strict=True) if is_legal)

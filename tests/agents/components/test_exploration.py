@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -13,9 +14,11 @@ from hrl_escape.agents.components.exploration import (
     compute_choice_entropy,
     compute_epsilon,
     compute_epsilon_greedy,
+    compute_exploration,
     compute_exploration_entropy,
     compute_policy,
     make_rng,
+    measure_conduct,
     sample_action,
     sample_index,
 )
@@ -124,3 +127,16 @@ def test_ornstein_uhlenbeck_noise_has_its_stationary_variance():
 def test_streams_of_one_seed_differ_and_repeat():
     assert make_rng(3, "actions").random() == make_rng(3, "actions").random()
     assert make_rng(3, "actions").random() != make_rng(3, "replay").random()
+
+
+@pytest.mark.parametrize("library", [np, torch])
+def test_conduct_is_the_same_for_each_row_alone_and_absent_without_rows(library):
+    values, mask = np.float32([[1.0, 3.0, 2.0], [0.0, 5.0, 1.0]]), np.array([[True, True, False], [True, False, True]])
+    make = np.asarray if library is np else torch.as_tensor
+    policy, action = compute_exploration(make(values), make(mask), epsilon=0.2), make(np.array([1, 0]))
+    both = measure_conduct(policy, make(values), make(mask), action)
+    alone = [measure_conduct(policy[n : n + 1], make(values)[n : n + 1], make(mask)[n : n + 1], action[n : n + 1])
+             for n in range(2)]
+    assert both["greedy"] == 0.5 and both["entropy"] == pytest.approx(-0.9 * np.log(0.9) - 0.1 * np.log(0.1))
+    assert both == pytest.approx({name: (alone[0][name] + alone[1][name]) / 2 for name in both})
+    assert measure_conduct(policy[:0], make(values)[:0], make(mask)[:0], action[:0]) == {}

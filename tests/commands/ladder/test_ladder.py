@@ -117,7 +117,7 @@ def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
     code, out, err = call(capsys, "run", "random", "--rung", "one", *options)
     assert code == 0 and "one: 1 runs finished, 0 failed" in out, err
     (place,) = read_comparison(tmp_path / "out" / "per-instance" / "one").places
-    assert place.instance == Benchmark(make_manifest())["one"].test[0] and place.name.endswith("one/test[0]")
+    assert place.instance == Benchmark(make_manifest())["one"].test[0] and place.name.endswith("one/test#0")
 
 
 @pytest.mark.nightly
