@@ -38,7 +38,7 @@ class Memory:
 
     def get_state(self, read: Any) -> Any:
         """The states in the result of `read`, (n, size)."""
-        return read[:, :0]
+        return read[(slice(None), *(0,) * (read.ndim - 2), slice(0, 0))]  # pictures have more axes
 
     def recall(self, encoded: NDArray) -> NDArray:
         """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""

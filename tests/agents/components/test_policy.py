@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from hrl_escape.agents import make_agent
+from hrl_escape.agents.components.policy import Memory
 from hrl_escape.agents.decisions import Moments
 
 SPACES = gymnasium.spaces.Box(-1, 1, (4,), np.float32), gymnasium.spaces.Discrete(5)
@@ -56,3 +57,8 @@ def test_policies_of_one_agent_run_episodes_side_by_side():
     again = [in_turn[0].choose(seen, every) for seen in lives[0]]
     forgetful = [agent.make_policy().choose(seen, every) for seen in lives[0]]
     assert again == alone[0] != forgetful, "an episode begins with an empty memory, and keeps it"
+
+
+def test_a_policy_without_memory_has_an_empty_state_for_vectors_and_pictures():
+    for shape in ((2, 5), (0, 5), (2, 3, 8, 6)):
+        assert Memory().get_state(np.zeros(shape)).shape == (shape[0], 0)

@@ -376,7 +376,7 @@ def test_a_failed_sea_is_logged_as_no_success():
 
     sea = dataclasses.replace(get_preset("deep-sea"), puzzle=DeepSeaConfig(size=3))
     env = Counted(8, sea, discount=0.99, include_primitives=False)
-    segments = train("smdp-ppo+primitives", env, primitives=1_500, settings=SMALL, eval_episodes=0).segments
+    segments = train("smdp-ppo", env, primitives=1_500, settings=SMALL, eval_episodes=0).segments
     assert sum(segment.episodes for segment in segments) == env.ends
     assert sum(segment.successes for segment in segments) == env.successes
     assert 0 < env.successes < env.ends
