@@ -84,7 +84,7 @@ def take_pictures(room: RoomInstance, states: list[RoomState]) -> Iterator[Image
     """Picture of each state from one place, with the near wall cut open."""
     stage = Stage(room)
     for standing in stage.standing:
-        if standing.solid.role == "wall" and standing.solid.y < -DEPTH / 2:
+        if stage.roles[standing.whole[0]] == "wall" and standing.shape.y < -DEPTH / 2:
             stage.set_cut(standing, True)
     width, height = (FINE * side for side in SIZE)
     looking = pybullet.computeViewMatrix(EYE, TARGET, (0.0, 0.0, 1.0))

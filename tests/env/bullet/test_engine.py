@@ -140,7 +140,7 @@ def test_an_open_door_swings_out_of_the_room(make_room):
         room = make_room(all_configs()["door"], seed=seed)
         stage, door, area = Stage(room.instance), room.instance.door, room.instance.exit
         stage.follow(room.state._replace(puzzle=1 << room.instance.puzzle.goal))
-        (x, y, _), turn = pybullet.getBasePositionAndOrientation(stage._door.whole[0], physicsClientId=stage.client)
+        (x, y, _), turn = pybullet.getBasePositionAndOrientation(stage._leaf.whole[0], physicsClientId=stage.client)
         yaw = pybullet.getEulerFromQuaternion(turn)[2]
         leaf = x + door.half_x * math.cos(yaw), y + door.half_x * math.sin(yaw)  # its middle, from the hinge
         outwards = (area.centre[0] - door.x, area.centre[1] - door.y)
