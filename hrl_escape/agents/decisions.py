@@ -108,7 +108,7 @@ class Policy(ABC):
     def act(self, batch: Moments) -> Any:
         """Choose actions, int64 (n,)."""
 
-    def note_outcome(self, transition: SMDPTransition) -> None:  # noqa: B027
+    def note_outcome(self, transition: SMDPTransition) -> None:  # noqa: B027 - optional: most agents keep nothing of it
         """Take in the outcome of the latest choice in one environment; by default it is ignored.
 
         Hierarchical policies count the primitives of a call.

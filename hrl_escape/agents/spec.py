@@ -21,7 +21,6 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import reduce
 from typing import Annotated, Any, Literal
 
 from hrl_escape.agents.agent import Agent
@@ -110,7 +109,7 @@ class FrozenSettings(dict[str, Any]):
     def __init__(self, values: Mapping[str, Any] | Iterable[tuple[str, Any]] = ()) -> None:
         super().__init__({name: _freeze(value) for name, value in dict(values).items()})
 
-    def __hash__(self) -> int:  # type: ignore[override]
+    def __hash__(self) -> int:  # type: ignore[override]  # a dict has none
         return hash(json.dumps(self, sort_keys=True, default=str))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -119,7 +118,7 @@ class FrozenSettings(dict[str, Any]):
     def _refuse(self, *_: Any, **__: Any) -> Any:
         raise TypeError("the settings of a spec cannot be changed: make another with dataclasses.replace")
 
-    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse  # type: ignore
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse  # type: ignore  # as frozen
 
 
 def _freeze(value: Any) -> Any:
@@ -138,7 +137,7 @@ class AgentSpec(Settings):
     label: str = dataclasses.field(default="", compare=False)
     """Name in tables and curves; empty for the text of the spec."""
     recipe: str = DEFAULT_RECIPE
-    """Named settings."""
+    """Named settings, such as keras-rl-2019; `hrl-escape list recipes` shows those of each agent."""
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Settings that differ from the named ones."""
     options: OptionsView = OptionsView()
@@ -192,19 +191,22 @@ class AgentSpec(Settings):
                 raise UnknownNameError("agent spec", agent, known)
         parts = [PARTS[word] for word in words]
         given = dict(_split_settings(agent, match["settings"] or ""))
-        settings: dict[str, Any] = reduce(lambda made, part: made | dict(part.settings), parts, {})
-        options: dict[str, Any] = reduce(lambda made, part: made | dict(part.options), parts, {})
-        options |= {key.removeprefix(_IN_OPTIONS): value for key, value in given.items() if key.startswith(_IN_OPTIONS)}
-        settings |= {key: value for key, value in given.items() if not key.startswith(_IN_OPTIONS)}
-        levels = {part.low_level for part in parts if part.low_level is not None}
+        settings = {key: value for part in parts for key, value in part.settings.items()}
+        options = {key: value for part in parts for key, value in part.options.items()}
+        for key, value in given.items():
+            if key.startswith(_IN_OPTIONS):
+                options[key.removeprefix(_IN_OPTIONS)] = value
+            else:
+                settings[key] = value
+        levels: set[LowLevel] = {part.low_level for part in parts if part.low_level is not None}
         if len(levels) > 1:
             raise AgentSettingsError("agent", agent, "either +planned or +learned")
         if options and not cls(name).chooses_options:
             others = "".join(f"+{word}" for word in words if not PARTS[word].options)
             raise AgentSettingsError("agent", agent, f"{name}{others}, which acts with primitives, or {SMDP_PREFIX}"
                                      f"{agent}, which chooses among options")
-        low_level: LowLevel | None = next((part.low_level for part in parts if part.low_level is not None), None)
-        return cls(name, "", recipe or DEFAULT_RECIPE, settings, OptionsView.from_dict(options), low_level)
+        return cls(name, "", recipe or DEFAULT_RECIPE, settings, OptionsView.from_dict(options),
+                   levels.pop() if levels else None)
 
     @classmethod
     def _describe(cls, agent: type[Agent] | Agent) -> AgentSpec:

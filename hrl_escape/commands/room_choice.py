@@ -6,7 +6,6 @@ A room is named by one text, see `sets.grammar`. Any field of its configuration 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Collection, Sequence
 from typing import Any
 
@@ -16,6 +15,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.names import join_words
 from hrl_escape.sets.changes import parse_value
 from hrl_escape.sets.grammar import NamedRooms, find_config, find_rooms, make_room, quote_room
+from hrl_escape.sets.room_spec import renew_room
 
 DEFAULT_ROOM = "paper-two-button"
 OLD_OPTIONS = ("--preset", "--arguments", "--config", "--load", "--rung")
@@ -109,9 +109,8 @@ def refuse_rooms(words: Sequence[str]) -> None:
     """Refuse `--rooms`, the name of `--room` in 0.3 where several rooms are named; the message shows the new form."""
     given = _read_words(words)
     if "--rooms" in given:
-        rooms = (re.sub(r"\[(\d+)\]$", r"#\1", re.sub(r"\[(\d*):(\d+)\]$", lambda found: (
-            f"#{found[1] or 0}..{found[2]}"), room)) for room in given["--rooms"])
-        raise UnsupportedError(f"--rooms is --room now: write --room {' '.join(map(quote_room, rooms))}")
+        rooms = (quote_room(str(renew_room(room))) for room in given["--rooms"])
+        raise UnsupportedError(f"--rooms is --room now: write --room {' '.join(rooms)}")
 
 
 def _read_words(words: Sequence[str]) -> dict[str, list[str]]:

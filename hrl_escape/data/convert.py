@@ -1,4 +1,4 @@
-"""Files of version 0.3 in the form of this version: recordings, recorded games and episodes, and names in JSON values.
+"""Files of version 0.3 in the form of this version: recordings, recorded games and recorded episodes.
 
 Options were called by number (`meta-01`) or in words (`press button-1`). `hrl-escape convert` calls `convert_data`, and
 `comparison/conversion.py` for runs, submissions and grids.
@@ -28,6 +28,7 @@ from hrl_escape.text.text_env import RoomSession, ToolCall
 from hrl_escape.text.words import clean
 
 EPISODE_SCHEMA = 3
+
 
 def convert_data(path: Path, out: Path) -> str | None:
     """Write a recording (.npz), recorded games (.jsonl) or a recorded episode (.json) in the form of this version.

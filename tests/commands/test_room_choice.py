@@ -34,6 +34,7 @@ from tests.command_line import assert_refused
     ("train dqn --training-seed 7", "write --room paper-two-button --seed 7"),
     ("train dqn --room clutter --training-seed 7", "write --room clutter --seed 7"),
     ("compare --rooms clutter ladder-1/pair/train[3]", "write --room clutter ladder-1/pair/train#3"),
+    ("compare --rooms clutter#0..15", "write --room clutter#0..16"),
     ("data make mine --rooms ladder-1/pair/train[:4] --played x", "write --room ladder-1/pair/train#0..4"),
 ])
 def test_an_old_option_shows_the_new_form_with_the_values_given(capsys, tmp_path, monkeypatch, line, advice):
