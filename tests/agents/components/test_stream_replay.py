@@ -134,16 +134,18 @@ EXACT = {
 }
 
 
-@pytest.mark.nightly_for("r-max", "sarsa")
-@pytest.mark.parametrize("name", [pytest.param("dqn", marks=pytest.mark.slow), "sarsa", "q-learning", "r-max"])
-def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name):
+@pytest.mark.nightly_for("r-max-16000", "sarsa-16000", "q-learning-16000")
+@pytest.mark.parametrize(("name", "primitives"), [
+    pytest.param("dqn", 16_000, marks=pytest.mark.slow), ("sarsa", 16_000), ("q-learning", 16_000), ("r-max", 16_000),
+    ("q-learning", 8_000)])
+def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name, primitives):
     def make():
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
 
     settings, error, compute = EXACT[name]
     many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-    agent = train(name, many, primitives=16_000, eval_env=make(), eval_episodes=0, settings=settings | {"gamma": 0.9}
-                  ).agent
+    agent = train(name, many, primitives=primitives, eval_env=make(), eval_episodes=0,
+                  settings=settings | {"gamma": 0.9}).agent
     exact = compute(CHAIN, 0.9)
     for state in range(4):
         legal = np.isfinite(exact[state])
