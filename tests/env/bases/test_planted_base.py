@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from benchmarks.conformance import compare
+from examples.extend.diamond import Diamond
 from hrl_escape.env.bases import bases
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import ConfigError, DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
@@ -27,7 +28,6 @@ from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.planning import RoomPlanner
-from tests.env.bases.diamond import Diamond
 
 ROOM = RoomConfig(room=ShapeConfig(width=8, depth=7), puzzle=ButtonsConfig(count=2))
 ROOT = Path(__file__).parents[3]
@@ -102,7 +102,7 @@ def test_a_base_that_comes_after_the_planners_is_refused_by_them(diamond):
 PROGRAM = """
 import dataclasses
 from hrl_escape.env.bases import bases
-from tests.env.bases.diamond import Diamond
+from examples.extend.diamond import Diamond
 bases.register("diamond", Diamond)  # the line
 from hrl_escape import OptionsEnv, RoomPlanner
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
