@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.forks import run_fork, run_module
+from tests.forks import run_file, run_fork, run_module
 
 ROOT = Path(__file__).parents[2]
 PARTS = {
@@ -128,7 +129,22 @@ def test_a_rung_is_frozen_shown_and_played_from_its_file(tmp_path: Path):
                     "import gymnasium, hrl_escape\n"
                     "assert main(['ladder', 'show', 'two', '--benchmark', 'own-ladder.json']) == 0\n"
                     "assert main(['ladder', 'verify', '--benchmark', 'own-ladder.json']) == 0\n"
-                    "env = gymnasium.make('hrl_escape/Ladder-v1', benchmark='own-ladder.json', rung='two', set='test')\n"
+                    "where = {'benchmark': 'own-ladder.json', 'rung': 'two', 'set': 'test'}\n"
+                    "env = gymnasium.make('hrl_escape/Ladder-v1', **where)\n"
                     "print(len(env.reset(seed=0)[1]))", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "chain" in done.stdout and "8" in done.stdout
+
+
+def test_a_script_has_options_of_its_own_next_to_those_that_choose_a_room():
+    done = run_file(ROOT / "examples/extend/measure_room.py", "--room", "clutter#3", "--density")
+    assert re.fullmatch(r"\d+ m2, \d+\.\d obstacles per 100 m2\n", done.stdout), done.stderr
+
+
+def test_the_page_states_the_lines_of_every_example():
+    page = (ROOT / "docs/extend/index.md").read_text()
+    rows = re.findall(r"^\| \[.+?\]\(.+?\) \| `(examples/.+?)` \| 1 \| (\d+) \|", page, re.MULTILINE)
+    assert {file: int(lines) for file, lines in rows} == {
+        file: len((ROOT / file).read_text().splitlines()) for file, _ in rows}
+    named = {f"examples/{file}" for members in PARTS.values() for file, _ in members.values()}
+    assert named <= {file for file, _ in rows} and len(rows) >= 11
