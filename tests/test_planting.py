@@ -170,11 +170,11 @@ def test_a_file_in_puzzles_is_a_puzzle_of_one_room_and_of_a_batch(said):
 
 
 def test_a_file_in_observations_is_an_observation_of_one_room_and_of_a_batch(said):
-    assert "compass" in said["list observations"] and "the heading alone" in said["list observations"]
+    assert "compass" in said["list observations"] and "sine and cosine" in said["list observations"]
     assert json.loads(said["train q-learning"])["primitives"] >= 40
     assert said["first"] == [[2], [0.0, 1.0]] and said["batch"] == [[0.0, 1.0]] * 2
 
 
-def test_two_lines_in_a_dataclass_are_an_option_of_a_command(said):
+def test_a_field_of_a_dataclass_is_an_option_of_a_command(said):
     assert said["room --shout"].startswith("PAPER-ONE-BUTTON")
     assert sum(lines.count("\n") for lines in OPTION.values()) == 4

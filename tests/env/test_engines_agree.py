@@ -27,7 +27,7 @@ KINEMATIC = sorted(name for name, config in all_configs().items() if config.dyna
 
 
 @pytest.mark.nightly_for("puddle-world")
-@pytest.mark.parametrize("name", thin(KINEMATIC, 2))
+@pytest.mark.parametrize("name", thin(KINEMATIC, 4))
 def test_the_batched_engine_agrees_with_the_scalar_rules(name):
     found = compare([generate(all_configs()[name], 0)], 200, copies=10)
     assert found.primitives >= 200

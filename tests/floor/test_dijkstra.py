@@ -227,7 +227,7 @@ def sweep_all(scene, places, turns, moves, needs):
     return found
 
 
-@pytest.mark.nightly_for("disc-size0")
+@pytest.mark.nightly_for("disc-size0", "box-size0")
 @pytest.mark.parametrize("size", [(9.0, 5.0), pytest.param((5.0, 9.0), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_sweeps_and_clearances_are_those_of_all_solids_from_anywhere_on_the_floor(robot, size):

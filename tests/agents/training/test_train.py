@@ -311,6 +311,7 @@ def test_every_logged_name_is_explained(tmp_path, name):
     assert {"train/return", "eval/return", "time/seconds"} <= logged
 
 
+@pytest.mark.nightly_for("sarsa-settings0", "ddpg-settings3")
 @pytest.mark.parametrize(("name", "settings"), [
     ("sarsa", {}), ("sarsa", {"replay_capacity": 0, "expected": False}), ("dqn", {}), ("ddpg", {}),
 ])

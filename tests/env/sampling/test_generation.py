@@ -124,7 +124,7 @@ def test_seeds_give_different_rooms():
     assert len({generate(get_preset("clutter"), seed).id for seed in range(8)}) == 8
 
 
-@pytest.mark.parametrize("name", thin(QUICK, 3))
+@pytest.mark.parametrize("name", thin(QUICK, 6))
 def test_json_round_trip_keeps_everything(name, tmp_path):
     instance = generate(all_configs()[name], 3)
     instance.save(tmp_path / "room.json")

@@ -24,7 +24,7 @@ def list_names():
     return [name if get_agent_class(name).reads_both else f"smdp-{name}" for name in list_offline_agents()]
 
 
-@pytest.mark.nightly_for("hiql")
+@pytest.mark.nightly_for("hiql", "smdp-cql")
 @pytest.mark.parametrize("name", thin(list_names(), step=3, first=1))
 def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folder(name, tmp_path, monkeypatch):
     settings = SMALL.get(name.removeprefix("smdp-"), NETWORKS)

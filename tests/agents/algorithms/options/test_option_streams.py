@@ -134,6 +134,7 @@ def test_with_equal_values_both_processes_are_taught_the_returns_summed_by_hand(
             assert taught[level, "target"][own] == pytest.approx(sum_returns(life, 0.7), abs=2e-3), level
 
 
+@pytest.mark.nightly_for("64")
 @pytest.mark.parametrize("count", [1, 8, 64])
 def test_both_processes_are_taught_stream_by_stream_what_the_formulas_say(count, monkeypatch):
     agent, lives, taught = live(count, monkeypatch)
