@@ -54,7 +54,7 @@ def test_the_batched_engine_agrees_with_the_bullet_engine(name):
     batch, bullet = TensorRoom(Rooms(instance=instance), autoreset="disabled"), BulletRoom(instance)
     batch.reset(torch.tensor([4]))
     bullet.set_state(batch.get_room_state(0))
-    for action in np.random.default_rng(0).integers(batch.actions, size=300).tolist():
+    for action in np.random.default_rng(0).integers(batch.actions, size=150).tolist():
         outcome, transition = batch.step(torch.tensor([action])), bullet.step(action)
         found, state = batch.get_room_state(0), transition.state
         assert abs(found.x - state.x) < 1e-9 and abs(found.y - state.y) < 1e-9

@@ -233,6 +233,7 @@ def test_the_published_box_of_twenty_lights_is_modelled_exactly_within_20_000_pr
     assert len(blind.get_graph() & set(puzzle.edges)) <= 12
 
 
+@pytest.mark.nightly
 def test_an_experiment_is_no_worse_than_any_that_an_option_leads_to_and_is_on_its_way():
     """Compared with every action here and in the states in which the option of each light ends, all presses sure."""
     puzzle = LightBoxPuzzle(8, SMALL_BOX.edges, 7, 1.0)
