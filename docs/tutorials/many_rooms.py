@@ -50,10 +50,10 @@ pair = load_benchmark("ladder-1")["pair"]
 arguments = {"options": {"include_primitives": False}, "observation": "objects"}
 rooms = pair.train[:16]
 unseen = DecisionMemory(pair.test.make_env(**arguments))
-rows = {"eval_env": unseen, "eval_every": 10_000, "progress": False}
+rows = {"eval_env": unseen, "eval_every": 4_000, "progress": False}
 start = time.perf_counter()
 many = train("smdp-ppo+objects+memory", MemoryStreams(rooms.make_vec(16, **arguments, compile=False)),
-             primitives=30_000, **rows)
+             primitives=12_000, **rows)
 print(f"16 rooms at once: {many.primitives:,} primitives in {time.perf_counter() - start:.0f} s")
 many
 

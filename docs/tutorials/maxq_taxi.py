@@ -65,7 +65,7 @@ settings = {"gamma": 1.0, "learning_rate": 0.25, "epsilon_start": 0.3, "epsilon_
 results = []
 for name, structure in (("maxq-q", {"hierarchy": tasks}), ("q-learning", {})):
     agent = make_agent(name, env.observation_space, env.action_space, 0, structure=structure, **settings)
-    results.append(train(agent, env, primitives=40_000, seed=0, eval_every=5_000, eval_episodes=20, progress=False))
+    results.append(train(agent, env, primitives=40_000, seed=0, eval_every=8_000, eval_episodes=50, progress=False))
     print(f"{name}: mean return {results[-1].evaluations[-1].mean_return:.2f} after 40,000 primitives")
 learned, flat = results
 learned.plot(beside=[flat])

@@ -244,6 +244,7 @@ def test_an_agent_that_declares_nothing_can_do_no_more_than_the_protocol_asks():
     assert agent.get_graph() is None
 
 
+@pytest.mark.nightly_for("monte-carlo-model", "torchrl-sac", "fun", "vigorito-barto")
 @pytest.mark.parametrize("name", thin(list_agents(), 3, 1))
 def test_every_agent_can_do_what_it_declares(name):
     env = ButtonGrid(trace=True, horizon=40)

@@ -26,7 +26,7 @@ from tests.env.rooms import all_configs
 KINEMATIC = sorted(name for name, config in all_configs().items() if config.dynamics.kind == "kinematic")
 
 
-@pytest.mark.nightly_for("puddle-world")
+@pytest.mark.nightly_for("puddle-world", "arm-two-button", "light-box", "noisy", "recipes", "twenty-button")
 @pytest.mark.parametrize("name", thin(KINEMATIC, 4))
 def test_the_batched_engine_agrees_with_the_scalar_rules(name):
     found = compare([generate(all_configs()[name], 0)], 200, copies=10)

@@ -38,6 +38,7 @@ def sample_near_surfaces(collision: CollisionMap, rng: np.random.Generator, coun
     return np.concatenate([points[:count], near[:count]])
 
 
+@pytest.mark.nightly_for("True-clutter", "False-clutter")
 @pytest.mark.parametrize("name", ["clutter", "paper-two-button", "twenty-button"])
 @pytest.mark.parametrize("shut", [True, False])
 def test_free_places_are_those_of_the_exact_geometry(name, shut):

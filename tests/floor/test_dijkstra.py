@@ -170,7 +170,9 @@ def test_moves_land_where_the_rules_end_them(robot, size):
     assert (landing[~fits] == -1).all() and beside > 0
 
 
-@pytest.mark.nightly_for("box-press-None", "box-exit-None", "box-press-facing1")
+@pytest.mark.nightly_for(
+    "box-press-None", "box-exit-None", "box-press-facing1", "disc-press-None", "disc-press-facing1",
+    "disc-exit-facing1", "box-exit-facing1")
 @pytest.mark.parametrize("facing", [None, (0, 3)])
 @pytest.mark.parametrize("goal", [PressGoal(1), ExitGoal()], ids=["press", "exit"])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])

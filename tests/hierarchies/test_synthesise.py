@@ -78,7 +78,7 @@ def test_a_synthesised_task_graph_keeps_every_promise(low_level, abstract):
                     make_env(TINY, low_level=low_level), primitives=200)
 
 
-@pytest.mark.nightly_for("landmarks-planned", "feudal-planned")
+@pytest.mark.nightly_for("landmarks-planned", "feudal-planned", "feudal-learned")
 @pytest.mark.parametrize("low_level", LOW_LEVELS)
 @pytest.mark.parametrize("kind", ["landmarks", "feudal"])
 def test_goals_and_cells_keep_every_promise(kind, low_level):

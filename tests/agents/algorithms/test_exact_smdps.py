@@ -79,7 +79,8 @@ READ = {
 }
 
 
-@pytest.mark.nightly_for("MaxqQ-1", "MacroQ-2", "Eigenoptions-0", "RMax-1", "FeudalRl-0", "RMaxq-2", "Hamq-2")
+@pytest.mark.nightly_for(
+    "MaxqQ-1", "MacroQ-2", "Eigenoptions-0", "RMax-1", "FeudalRl-0", "RMaxq-2", "Hamq-2", "IntraOptionQ-1")
 @pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
     env = make_env(seed)

@@ -32,6 +32,7 @@ def list_rows(experience):
     return [tuple(np.asarray(field, np.float32).tobytes() for field in row) for row in zip(*experience, strict=True)]
 
 
+@pytest.mark.nightly_for("2-64")
 @pytest.mark.parametrize(("n", "streams"), [(1, 6), (2, 64), (3, 1), (5, 6)])
 def test_backups_of_n_decisions_are_those_of_every_stream_alone(n, streams):
     rng = np.random.default_rng(n)
@@ -153,6 +154,7 @@ def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_o
             exact[state][legal], abs=error)
 
 
+@pytest.mark.nightly
 def test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_limit():
     def make():
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)

@@ -189,8 +189,9 @@ def read_log(folder):
 
 @pytest.mark.nightly_for(
     "rainbow-default", "factored-r-max-default", "monte-carlo-model-default", "a2oc-default", "fun-default",
-    "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed",
-    "torchrl-ppo-default", "ppoc-default", "diayn-default", "ddpg-default", "ddpg-keras-rl-2019")
+    "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed", "torchrl-ppo-default",
+    "ppoc-default", "diayn-default", "ddpg-default", "ddpg-keras-rl-2019", "q-learning-default",
+    "skill-chaining-default")
 @pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 4, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")

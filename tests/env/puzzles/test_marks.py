@@ -89,6 +89,7 @@ def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_c
         assert sorted(rules.meanings[list(puzzle.marks)]) == [0, 1, 2, 3]
 
 
+@pytest.mark.nightly_for("2")
 @pytest.mark.parametrize("motifs", [1, 2])
 def test_likelihoods_are_those_of_the_draws(motifs):
     rules = MarksConfig("rank", levels=2, symbols=5, truth=0.7, motifs=motifs)

@@ -57,7 +57,7 @@ def test_ten_thousand_starts_are_sampled():
     assert len(generation.generate(config, 0).starts) == 10_000
 
 
-@pytest.mark.nightly_for("clutter")
+@pytest.mark.nightly_for("clutter", "ten-button")
 @pytest.mark.parametrize("name", ["clutter", "ten-button"])
 def test_a_certificate_that_grows_with_the_room_is_the_one_made_afresh(name):
     """Obstacle by obstacle, until one spoils the room: places of touching that are remembered change no answer."""
