@@ -7,7 +7,7 @@ with one set for training and one for testing. The two sets share no room and no
 import numpy as np
 
 from hrl_escape import make_agent, train
-from hrl_escape.comparison import record_episode
+from hrl_escape.benchmark import record_episode
 from hrl_escape.options import DecisionMemory
 from hrl_escape.sets import load_benchmark
 
