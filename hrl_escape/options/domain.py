@@ -124,7 +124,7 @@ class OptionDomain:
         Raises:
             UnsupportedError: the environment is not a room.
         """
-        raise UnsupportedError(f"{self.env} is no room, for which a planner makes options: give "
+        raise UnsupportedError(f"{self.env} is not a room, so there are no planned options: give "
                                "OptionsEnv(env, options) a list of them")
 
     def get_state(self, observation: Any) -> Any:
@@ -236,7 +236,7 @@ class RoomDomain(OptionDomain):
             raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
                                    f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
         self._count = 0 if self._discrete is None else int(self._discrete.n)
-        self._numbers: dict[Any, int] = {}  # of rooms, in the order in which they first appear
+        self._numbers: dict[Any, int] = {}  # of rooms, in order of first appearance
 
     @property
     def subject(self) -> RoomInstance:
@@ -346,7 +346,7 @@ def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
     made = tuple(source(subject) if callable(source) else source)
     for option in made:
         if not isinstance(option, Option):
-            raise OptionError(f"{option!r} is no option: derive its class from Option, or make a FunctionOption of it")
+            raise OptionError(f"{option!r} is not an Option: derive its class from Option, or make a FunctionOption")
     names = [option.name for option in made]
     if len(set(names)) < len(names):
         raise OptionError(f"option names must differ: {', '.join(names)}")

@@ -78,7 +78,7 @@ class LearnedOption(FunctionOption):
                  initiation: Callable[[Any], bool] | None = None, is_stochastic: bool = False,
                  legal: LegalActions | None = None) -> None:
         if isinstance(policy, PredictingModel) and is_stochastic:
-            raise OptionError(f"option {name!r}: predict draws from torch's global generator, so that no run could be "
+            raise OptionError(f"option {name!r}: predict draws from torch's global generator, so runs could not be "
                               "repeated: leave is_stochastic false, or give a function of observation and generator")
         if isinstance(policy, TrainedAgent) and legal is None:
             raise OptionError(f"option {name!r} follows an agent, which needs the legal actions: give legal=, the "
@@ -136,7 +136,7 @@ class AgentOption(Option):
         observe: state -> the observation of the agent, or None for the state itself.
         until: state -> probability of ending there, in addition to the policy's own termination, or None for the latter
             alone.
-        name: None for the policy's name.
+        name: stable name, or None for the policy's.
 
     Attributes:
         origin: run that learned it: `agent`, `run`, `seed`, `primitives`; empty for an untrained agent.
@@ -174,7 +174,7 @@ class AgentOption(Option):
     def policy(self, state: Any) -> Any:
         """Return the action of the policy. Raises `OptionError` if the policy has a memory or is random."""
         if not self.is_markov:
-            raise OptionError(f"option {self.name!r} is no function of the state: ask sample_action(state, generator)")
+            raise OptionError(f"option {self.name!r} is not a function of the state: call sample_action(state, generator)")
         return self.sample_action(state, np.random.default_rng(0))
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:

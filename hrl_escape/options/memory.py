@@ -51,10 +51,10 @@ class _Memories:
                                 (*space.words, *MEMORY_WORDS))
         rows, sets = (count, len(space.rows)), (count, 1, len(space.rows))
         self._sets, self._failures = self._make(sets, "bool"), self._make(sets, "bool")
-        self._used = self._make((count,), "int64")  # of the sets of lit objects in which something failed
+        self._used = self._make((count,), "int64")  # number of sets of lit objects that had a failure
         self._lit_now, self._failed = self._make(rows, "bool"), self._make(rows, "bool")
         self._since, self._ranks = self._make(rows, "float64") + np.inf, self._make(rows, "float64")
-        self._most_used = 0  # no episode has used more
+        self._most_used = 0  # maximum over episodes
 
     @property
     def _library(self) -> Any:
@@ -193,7 +193,7 @@ class MemoryStreams:
     """
 
     def __init__(self, streams: BatchedOptionsEnv) -> None:
-        import torch  # which `DecisionMemory` does without
+        import torch  # `DecisionMemory` does not need torch
 
         self._streams = streams
         self.count, self.device = streams.count, streams.device

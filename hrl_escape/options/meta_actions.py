@@ -159,7 +159,7 @@ class MarkovOption(GoalOption):
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
         super().__init__(name, planner, goal)
-        self._settings = planner.routes.settings._replace(effort=-1)  # a shorter route may be found from the next state
+        self._settings = planner.routes.settings._replace(effort=-1)  # the next state can have a shorter route
 
     def initiation(self, state: RoomState) -> bool:
         """Return whether a route leads to the goal and the goal is not reached."""

@@ -151,7 +151,7 @@ class FunctionOption(Option):
             OptionError: the policy is stochastic; use `sample_action`.
         """
         if self.is_stochastic:
-            raise OptionError(f"option {self.name!r} is stochastic: ask sample_action(state, generator)")
+            raise OptionError(f"option {self.name!r} is stochastic: call sample_action(state, generator)")
         return self._policy(state)
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
@@ -194,15 +194,15 @@ class TableOption(Option):
             rows = {state: np.asarray(row, np.float64) for state, row in rows.items() if np.any(row)}
             wrong = [state for state, row in rows.items() if row.min() < 0 or abs(row.sum() - 1) > 1e-9]
             if wrong:
-                raise OptionError(f"option {name!r}: the probabilities in state {wrong[0]!r} are not those of a choice "
-                                  f"that is made, {rows[wrong[0]].tolist()}")
+                raise OptionError(f"option {name!r}: the probabilities in state {wrong[0]!r} must be "
+                                  f"non-negative and sum to 1, got {rows[wrong[0]].tolist()}")
         self._actions = {state: int(np.argmax(row)) if is_stochastic else row for state, row in rows.items()}
         self._rows = rows if is_stochastic and any(np.count_nonzero(row) > 1 for row in rows.values()) else {}
         self.is_markov = not self._rows
         self._beta = {state: float(beta) for state, beta in _make_table(termination).items()}
         wrong = [state for state, beta in self._beta.items() if not 0.0 <= beta <= 1.0]
         if wrong:
-            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, no probability")
+            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, which must be from 0 to 1")
         self._starts = frozenset(
             (state for state in self._actions if self.termination(state) < 1.0) if initiation is None else initiation)
 
