@@ -174,7 +174,8 @@ class AgentOption(Option):
     def policy(self, state: Any) -> Any:
         """Return the action of the policy. Raises `OptionError` if the policy has a memory or is random."""
         if not self.is_markov:
-            raise OptionError(f"option {self.name!r} is not a function of the state: call sample_action(state, generator)")
+            raise OptionError(f"option {self.name!r} is not a function of the state: call sample_action(state, "
+                              "generator)")
         return self.sample_action(state, np.random.default_rng(0))
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:

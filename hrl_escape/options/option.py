@@ -202,7 +202,8 @@ class TableOption(Option):
         self._beta = {state: float(beta) for state, beta in _make_table(termination).items()}
         wrong = [state for state, beta in self._beta.items() if not 0.0 <= beta <= 1.0]
         if wrong:
-            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, which must be from 0 to 1")
+            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, which must be "
+                              "from 0 to 1")
         self._starts = frozenset(
             (state for state in self._actions if self.termination(state) < 1.0) if initiation is None else initiation)
 
