@@ -241,7 +241,7 @@ def test_taking_over_an_episode_that_runs():
 
 
 @pytest.mark.parametrize(("options", "error", "message"), [
-    (None, UnsupportedError, "no room, for which a planner makes options"),
+    (None, UnsupportedError, "not a room, so there are no planned options"),
     ([lambda cell: EAST], OptionError, "is not an Option"),
     ([go("5")], OptionError, "name of a primitive"),
     ([go(), go()], OptionError, "names must differ"),
