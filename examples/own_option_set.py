@@ -1,4 +1,4 @@
-"""Your own option set: a function of a room's planner, under a name that every `option_set=` takes."""
+"""Your own option set: a function of a room's planner, registered under a name for `option_set=`."""
 
 from collections.abc import Sequence
 
