@@ -147,7 +147,7 @@ class World:
             ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, or a
                 start that is not free.
         """
-        from hrl_escape.planning.arm.meshes import load_triangles  # loads coal
+        from hrl_escape.env.mesh_files import load_triangles  # loads coal
 
         if not 0.0 < cell < math.inf:
             raise ConfigError("cell", cell, "a length above 0 m")
@@ -182,7 +182,10 @@ class World:
                       floor=(x, x + cell * columns, y, y + cell * rows), wall_height=max(below, heights.max()))
 
     def make_state(self, x: float, y: float, heading: float = 0.0, angles: Sequence[float] | None = None) -> RoomState:
-        """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home."""
+        """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home.
+
+        Angles of continuous joints may have any number of turns.
+        """
         x, y, heading = _read_start((x, y, heading))
         rules, (at_x, at_y) = Kinematics(self.instance), self.to_room([x, y]).tolist()
         state = rules.make_state(Start(at_x, at_y, *rules.split_heading(heading)))
@@ -190,7 +193,9 @@ class World:
             return state
         if not all(map(math.isfinite, angles)):
             raise ConfigError("angles", angles, "finite numbers of rad")
-        joint_steps, joint_offsets = rules.split_angles(float(angle) for angle in angles)
+        turned = [math.remainder(angle, math.tau) if turns else float(angle)
+                  for angle, turns in zip(angles, rules.robot.continuous, strict=True)]
+        joint_steps, joint_offsets = rules.split_angles(turned)
         return state._replace(joint_steps=joint_steps, joint_offsets=joint_offsets)
 
     def to_room(self, points: ArrayLike) -> NDArray[np.float64]:

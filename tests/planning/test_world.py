@@ -15,8 +15,8 @@ from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.maps import draw_room, save_map
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.robot import LARGEST_MESHES
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.urdf import LARGEST_VISUAL
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.goals import PoseGoal
@@ -174,14 +174,14 @@ def test_triangles_are_split_until_no_edge_is_too_long():
 
 def test_what_is_no_mesh_or_leaves_nothing_on_the_floor_is_refused(tmp_path):
     (tmp_path / "text.obj").write_text("hello")
-    for name in ("text.obj", "missing.stl"):
-        with pytest.raises(FileReadError, match="is no mesh"):
+    for name, match in (("text.obj", "is no mesh"), ("missing.stl", "no such mesh")):
+        with pytest.raises(FileReadError, match=match):
             World.of_mesh(tmp_path / name, ROBOT, (0.0, 0.0, 0.0))
     (tmp_path / "room.zip").write_bytes(b"PK")
     with pytest.raises(FileReadError, match="no known kind"):
         World.of_mesh(tmp_path / "room.zip", ROBOT, (0.0, 0.0, 0.0))
     with open(tmp_path / "endless.stl", "wb") as file:
-        file.truncate(LARGEST_MESHES + 1)
+        file.truncate(LARGEST_VISUAL + 1)
     with pytest.raises(FileReadError, match="endless.stl.*bytes"):
         World.of_mesh(tmp_path / "endless.stl", ROBOT, (0.0, 0.0, 0.0))
     (tmp_path / "nan.obj").write_text("v 0 0 0\nv 1 0 1\nv nan 0 1\nf 1 2 3\n")

@@ -26,12 +26,13 @@ from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, Unkno
 from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
+from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics, Key
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath
 
 KEPT_MARGINS = (0.02, 0.005, 0.001)
-"""Clearances for a path, m: the first that start and goal allow is used."""
+"""Clearances for a path, m. Every pair of bodies keeps the first, or nine tenths of what it has at start and goal; the
+last is the least that it must have there. The base keeps the first that start and goal allow."""
 DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
 CONFIGURATIONS = 200_000
@@ -44,7 +45,7 @@ class ArmPosture:
     """Configuration of the arm that brings the hand to a target."""
 
     angles: NDArray[np.float64]  # joint angles, shape (joints,), rad
-    margin: float  # least distance of a joint from its limits, rad
+    margin: float  # least distance of a joint from its limits, rad; at most pi, as continuous joints have none
     manipulability: float
     """Yoshikawa's measure, sqrt(det(J J^T)), of the hand's translation, and of its rotation too if the target was a
     pose (Yoshikawa 1985); of J^T J for arms with fewer joints than rows."""
@@ -166,13 +167,20 @@ class ArmPlanner:
         found: list[NDArray[np.float64]] = []
         for seed in starts.tolist():
             angles = self.kinematics.solve_ik(goal, seed, tolerance)
-            if angles is not None and all(np.abs(angles - other).max() > DISTINCT for other in found):
+            if angles is not None and all(np.abs(self._subtract(angles, other)).max() > DISTINCT for other in found):
                 found.append(angles)
         rows = 3 if goal.shape == (3,) else 6
-        postures = [ArmPosture(angles, float(np.minimum(angles - low, high - angles).min()),
+        limited = ~np.array(self.rules.robot.continuous)
+        postures = [ArmPosture(angles, float(np.minimum(angles - low, high - angles).min(where=limited, initial=np.pi)),
                                self._measure_manipulability(angles, rows), self.is_free(state, angles.tolist()))
                     for angles in found]
         return sorted((p for p in postures if p.is_free or not only_free), key=lambda p: -p.margin)
+
+    def _subtract(self, angles: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Difference of configurations, rad, that of continuous joints within [-pi, pi]."""
+        difference = angles - others
+        turned = difference - np.round(difference / math.tau) * math.tau
+        return np.where(self.rules.robot.continuous, turned, difference)
 
     def _read_target(self, target: ArrayLike, state: RoomState) -> NDArray[np.float64]:
         """Target in the base frame."""
@@ -229,7 +237,8 @@ class ArmPlanner:
 
         Args:
             state: base and arm at the beginning.
-            goal: joint angles (joints,), or several of which any will do (n, joints), rad.
+            goal: joint angles (joints,), or several of which any will do (n, joints), rad. A continuous joint goes to
+                its angle in the nearest turn; the path's angles go on beyond pi.
             planner: one of OMPL's, such as `RRTConnect`.
             seed: the same seed gives the same path.
             budget: places that may be tested.
@@ -241,14 +250,10 @@ class ArmPlanner:
             ConfigError: the goal is no configuration within the joint limits.
         """
         check_fields(self.rules, state)
-        goals, place = self._read_goals(goal), (state.x, state.y, self.rules.get_heading(state))
-        names = self.rules.robot.joint_names
-
-        def is_free(angles: NDArray[np.float64], margin: float) -> bool:
-            return self._get_collisions(margin).is_free(*place, angles.tolist())
-
+        goals = self._read_goals(goal)
         start = np.array(self.rules.get_angles(state))
-        return self._search(state, names, self._limits, start, goals, is_free, planner, seed, budget, time_limit)
+        return self._search(state, self.rules.robot.joint_names, self._limits, start, goals, lambda at, margin: True,
+                            planner, seed, budget, time_limit)
 
     def plan_whole_body(self, state: RoomState, place: Sequence[float], goal: ArrayLike, *,
                         planner: str = "RRTConnect", seed: int = 0, budget: int = 200_000,
@@ -288,13 +293,12 @@ class ArmPlanner:
         if (np.abs(end[:2]) > floor).any():
             raise ConfigError("place", place, f"x and y on the floor, at most {floor.tolist()}")
 
-        def is_free(at: NDArray[np.float64], margin: float) -> bool:
-            x, y, turn, *angles = at.tolist()
-            return (self._floor.does_fit(x, y, (math.cos(turn), math.sin(turn)), margin)
-                    and self._get_collisions(margin).is_free(x, y, turn, angles))
+        def does_base_fit(at: NDArray[np.float64], margin: float) -> bool:
+            x, y, turn = at[:3].tolist()
+            return self._floor.does_fit(x, y, (math.cos(turn), math.sin(turn)), margin)
 
         names = ("x", "y", "heading", *self.rules.robot.joint_names)
-        return self._search(state, names, box, start, goals, is_free, planner, seed, budget, time_limit)
+        return self._search(state, names, box, start, goals, does_base_fit, planner, seed, budget, time_limit)
 
     def _read_goals(self, goal: ArrayLike) -> NDArray[np.float64]:
         low, high = self._limits
@@ -302,59 +306,93 @@ class ArmPlanner:
             goals = np.atleast_2d(np.asarray(goal, dtype=np.float64))
         except (TypeError, ValueError):
             goals = np.zeros((0, 0))
+        low, high = np.where(self.rules.robot.continuous, [[-np.inf], [np.inf]], (low, high))
         right = goals.ndim == 2 and len(goals) and goals.shape[1] == len(low)
         if not right or not (np.isfinite(goals).all() and (goals >= low - 1e-9).all() and (goals <= high + 1e-9).all()):
             raise ConfigError("goal", goal, f"angles of {len(low)} joints from {np.round(low, 3).tolist()} to "
                                             f"{np.round(high, 3).tolist()} rad")
         return np.clip(goals, low, high)
 
-    def _search(self, state: RoomState, names: tuple[str, ...], box: tuple[NDArray[np.float64], NDArray[np.float64]],
-                start: NDArray[np.float64], goals: NDArray[np.float64], is_free: _Test, planner: str, seed: int,
-                budget: int, time_limit: float | None) -> MotionPath:
-        """Search with the largest margin that start and goal allow, in coordinates scaled to metres of motion.
+    def _list_turns(self, start: NDArray[np.float64], goals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return goals with continuous joints in the nearest turn, then with one of them the other way round."""
+        joints = len(self.rules.robot.joint_names)
+        turning = np.flatnonzero(self.rules.robot.continuous) + len(start) - joints
+        nearest = goals.copy()
+        nearest[:, -joints:] = start[-joints:] + self._subtract(goals[:, -joints:], start[-joints:])
+        others = []
+        for column in turning:
+            other = nearest.copy()
+            other[:, column] -= np.where(other[:, column] >= start[column], math.tau, -math.tau)
+            others.append(other)
+        return np.concatenate([nearest, *others])
 
-        Points of the robot move by at most the sum of the scaled coordinates' changes, which is at most half the margin
-        between two tested places. So two links come nearer to each other by at most half of it, and the path may still
-        be left by a quarter.
+    def _search(self, state: RoomState, names: tuple[str, ...], box: tuple[NDArray[np.float64], NDArray[np.float64]],
+                start: NDArray[np.float64], goals: NDArray[np.float64], does_base_fit: _Test, planner: str, seed: int,
+                budget: int, time_limit: float | None) -> MotionPath:
+        """Search in coordinates scaled to metres of motion, with a margin for every pair of bodies.
+
+        Points of the robot move by at most the sum of the scaled coordinates' changes. Between two tested places that
+        is at most half the largest margin, so that pairs with this margin cannot meet in between. Pairs with a smaller
+        margin are tested again along the path that was found, in steps that their distance allows; if they fail, the
+        places of the next search are nearer to each other.
         """
         if planner not in OMPL_PLANNERS:
             raise UnknownNameError("path planner", planner, OMPL_PLANNERS)
         began, clock = read_clock(), Clock(time_limit)
         place = (state.x, state.y, self.rules.get_heading(state))
+        largest, least, joints = KEPT_MARGINS[0], KEPT_MARGINS[-1], len(self.rules.robot.joint_names)
 
-        def fail(reason: PlanningReason, posture: NDArray[np.float64] | None = None) -> PlanningFailed:
-            meets = ""
-            if posture is not None:
-                x, y, turn = posture[:3].tolist() if names[:1] == ("x",) else place
-                angles = posture[-len(self._limits[0]) :].tolist()
-                found = self._get_collisions(0.0).list_collisions(x, y, turn, angles)
-                meets = ", ".join(found) or "the base meets a solid"
-            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,), nearest=meets)
+        def locate(at: NDArray[np.float64]) -> tuple[float, float, float, list[float]]:
+            x, y, turn = at[:3].tolist() if names[:1] == ("x",) else place
+            return x, y, turn, at[-joints:].tolist()
 
-        if not is_free(start, 0.0):
-            raise fail(PlanningReason.START_INVALID, start)
-        last = goals[0]
-        goals = np.array([goal for goal in goals if is_free(goal, 0.0)])
+        def fail(reason: PlanningReason, nearest: str = "") -> PlanningFailed:
+            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,), nearest=nearest)
+
+        def find_fault(at: NDArray[np.float64]) -> str:
+            """Say why a path may not begin or end at a place; empty if it may."""
+            meets = self._get_collisions(0.0).list_collisions(*locate(at))
+            if meets or not does_base_fit(at, 0.0):
+                return ", ".join(meets) or "the base meets a solid"
+            near = plain.measure_near(*locate(at), within=least)
+            return ", ".join(f"nearer than {1000 * least:g} mm: {plain.describe(pair)}" for pair in near)
+
+        plain = self._get_collisions(largest)
+        if fault := find_fault(start):
+            raise fail(PlanningReason.START_INVALID, fault)
+        faults = [find_fault(goal) for goal in goals]
+        goals = np.array([goal for goal, fault in zip(goals, faults, strict=True) if not fault])
         if not len(goals):
-            raise fail(PlanningReason.GOAL_INVALID, last)
+            raise fail(PlanningReason.GOAL_INVALID, faults[0])
+        margins = dict[frozenset[Key], float]()
+        for at in (start, *goals):
+            for pair, away in plain.measure_near(*locate(at), within=largest).items():
+                margins[pair] = min(margins.get(pair, largest), 0.9 * away)
+        collisions = plain.with_margins(margins) if margins else plain
+        *far, turn = plain.compute_sweeps().tolist()
+        scale = np.maximum(far if len(far) == len(start) else (1.0, 1.0, max(turn, 0.1), *far), 1e-3)
+        goals = self._list_turns(start, goals)
+        low, high = (np.array(side) * scale for side in box)
+        low, high = np.minimum(low, start * scale), np.maximum(high, start * scale)
+        around = np.concatenate([np.zeros(len(start) - joints, dtype=bool), self.rules.robot.continuous])
+        low = np.where(around, (start - math.tau) * scale, low)
+        high = np.where(around, (start + math.tau) * scale, high)
         spent = CheckerBudget(budget, clock)
         for margin in KEPT_MARGINS:
-            ends = np.array([goal for goal in goals if is_free(goal, margin)])
-            if not (is_free(start, margin) and len(ends)):
+            if not (does_base_fit(start, margin) and all(does_base_fit(goal, margin) for goal in goals)):
                 continue
-            *joints, turn = self._get_collisions(margin).compute_sweeps().tolist()
-            scale = np.array(joints if len(joints) == len(start) else (1.0, 1.0, max(turn, 0.1), *joints))
-            scale = np.maximum(scale, 1e-3)
-            low, high = (np.array(side) * scale for side in box)
-            spacing = margin / 2.0 / math.sqrt(len(scale))
+
+            def is_free(at: NDArray[np.float64], margin: float = margin) -> bool:
+                return does_base_fit(at / scale, margin) and collisions.is_free(*locate(at / scale))
+
             try:
-                path = find_joint_path(np.minimum(low, start * scale), np.maximum(high, start * scale), start * scale,
-                                       ends * scale, lambda at, m=margin, s=scale: is_free(at / s, m), spacing, spent,
-                                       planner=planner, seed=seed)
+                path = find_joint_path(low, high, start * scale, goals * scale, is_free,
+                                       margin / 2.0 / math.sqrt(len(scale)), spent, planner=planner, seed=seed)
             except OutOfTime:
                 raise fail(clock.reason) from None
-            if path is not None:
-                return MotionPath(names, path / scale, scale, margin / 4.0, planner, spent.calls, read_clock() - began,
+            if path is not None and collisions.is_path_clear(path / scale, scale, locate):
+                kept = min([margin, *margins.values()])
+                return MotionPath(names, path / scale, scale, kept / 4.0, planner, spent.calls, read_clock() - began,
                                   self.rules.robot)
             if spent.calls >= budget:
                 raise fail(PlanningReason.BUDGET_EXHAUSTED)

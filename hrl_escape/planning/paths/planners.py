@@ -183,11 +183,11 @@ def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_fr
     bounds = base.RealVectorBounds(len(low))
     for k in range(len(low)):
         bounds.setLow(k, float(low[k]))
-        bounds.setHigh(k, float(high[k]))
+        bounds.setHigh(k, float(max(high[k], low[k] + 1e-9)))  # OMPL refuses a box without a size
     space.setBounds(bounds)
     information: Any = base.SpaceInformation(space)
     information.setStateValidityChecker(is_free)
-    information.setStateValidityCheckingResolution(spacing / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(min(0.5, spacing / space.getMaximumExtent()))
     if is_move_free is not None:
         information.setMotionValidator(_WholeMotions(information, is_move_free))
     information.setup()
