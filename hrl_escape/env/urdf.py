@@ -71,19 +71,25 @@ def parse_urdf(text: str | bytes, where: str) -> ElementTree.Element:
         root = ElementTree.fromstring(text.lstrip("\ufeff") if isinstance(text, str) else text)
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # an unknown encoding is a LookupError
         raise RobotError(f"{where} is not XML: {error}") from None
-    if next(_list_xacro(root), None) is not None:
-        raise RobotError(f"{where} is a xacro file that was not expanded ({next(_list_xacro(root))}). Run "
-                         "`xacro FILE > robot.urdf` and load that file")
+    xacro = find_xacro(root)
+    if xacro is not None:
+        raise RobotError(f"{where} is a xacro file that was not expanded ({xacro}). Run `xacro FILE > robot.urdf` and "
+                         "load that file")
     if root.tag != "robot" or root.find("link") is None:
         raise RobotError(f"{where} is not a URDF: no <robot> with links in it")
     return root
 
 
-def _list_xacro(root: ElementTree.Element) -> Iterator[str]:
+def find_xacro(root: ElementTree.Element) -> str | None:
+    """Return the first thing in a file that xacro has to expand, or None."""
     for element in root.iter():
-        if isinstance(element.tag, str) and element.tag.startswith("{") and "xacro" in element.tag.rpartition("}")[0]:
-            yield f"<xacro:{element.tag.rpartition('}')[2]}>"
-        yield from (value for value in element.attrib.values() if "${" in value or "$(" in value)
+        space, _, tag = element.tag.rpartition("}")
+        if "xacro" in space:
+            return f"<xacro:{tag}>"
+        for value in element.attrib.values():
+            if "${" in value or "$(" in value:
+                return value
+    return None
 
 
 def _list_meshes(root: ElementTree.Element) -> Iterator[tuple[str, str, ElementTree.Element]]:

@@ -7,6 +7,7 @@ joint steps: `RoomPlanner` plans primitives, and such paths are followed only by
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -21,20 +22,27 @@ from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
-from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.env.robot import BASE_LINK
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics, Key
+from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
+from hrl_escape.planning.arm.srdf import read_srdf
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath
 
-KEPT_MARGINS = (0.02, 0.005, 0.001)
-"""Clearances for a path, m. Every pair of bodies keeps the first, or nine tenths of what it has at start and goal; the
-last is the least that it must have there. The base keeps the first that start and goal allow."""
+CLEARANCE, OWN_CLEARANCE = 0.02, 0.001
+"""Distances that a path keeps, m: of the robot from solids and the floor, and of its links from each other.
+
+Where a link is nearer to a solid at start or goal, it keeps nine tenths of that distance from it; the base keeps the
+first of `BASE_CLEARANCES` that start and goal allow. Less than `OWN_CLEARANCE` at start or goal is refused.
+"""
+BASE_CLEARANCES = (0.02, 0.005, 0.001)  # m
 DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
+_CORNER_CLEARANCES = (0.02, 0.01, 0.005, 0.002)  # m, tried for a path with corners
+_BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
 CONFIGURATIONS = 200_000
 """Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
 _Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
@@ -58,7 +66,7 @@ class ArmPlanner:
     Attributes:
         instance: the room; its exit door counts as shut.
         kinematics: the arm's, from Pinocchio.
-        postures: joint angles of the SRDF's group states by name, rad.
+        postures: joint angles of the SRDF's group states by name, rad; `group/name` where groups share a name.
     """
 
     def __init__(self, instance: RoomInstance, srdf: str | Path | None = None) -> None:
@@ -81,7 +89,7 @@ class ArmPlanner:
         self._srdf: str | None = None
         self.postures: dict[str, tuple[float, ...]] = {}
         if srdf is not None:
-            self._srdf, self.postures = _read_srdf(srdf, self.rules.robot)
+            self._srdf, self.postures = read_srdf(srdf, self.rules.robot)
 
     @cached_property
     def kinematics(self) -> ArmKinematics:
@@ -331,16 +339,13 @@ class ArmPlanner:
                 budget: int, time_limit: float | None) -> MotionPath:
         """Search in coordinates scaled to metres of motion, with a margin for every pair of bodies.
 
-        Points of the robot move by at most the sum of the scaled coordinates' changes. Between two tested places that
-        is at most half the largest margin, so that pairs with this margin cannot meet in between. Pairs with a smaller
-        margin are tested again along the path that was found, in steps that their distance allows; if they fail, the
-        places of the next search are nearer to each other.
+        Motions are tested whole, by conservative advancement: all along a path every pair keeps half of its margin.
         """
         if planner not in OMPL_PLANNERS:
             raise UnknownNameError("path planner", planner, OMPL_PLANNERS)
         began, clock = read_clock(), Clock(time_limit)
         place = (state.x, state.y, self.rules.get_heading(state))
-        largest, least, joints = KEPT_MARGINS[0], KEPT_MARGINS[-1], len(self.rules.robot.joint_names)
+        joints = len(self.rules.robot.joint_names)
 
         def locate(at: NDArray[np.float64]) -> tuple[float, float, float, list[float]]:
             x, y, turn = at[:3].tolist() if names[:1] == ("x",) else place
@@ -354,21 +359,21 @@ class ArmPlanner:
             meets = self._get_collisions(0.0).list_collisions(*locate(at))
             if meets or not does_base_fit(at, 0.0):
                 return ", ".join(meets) or "the base meets a solid"
-            near = plain.measure_near(*locate(at), within=least)
-            return ", ".join(f"nearer than {1000 * least:g} mm: {plain.describe(pair)}" for pair in near)
+            near = plain.measure_near(*locate(at), within=OWN_CLEARANCE)
+            return ", ".join(f"nearer than {1000 * OWN_CLEARANCE:g} mm: {plain.describe(pair)}" for pair in near)
 
-        plain = self._get_collisions(largest)
+        plain = self._get_collisions(CLEARANCE)
         if fault := find_fault(start):
             raise fail(PlanningReason.START_INVALID, fault)
         faults = [find_fault(goal) for goal in goals]
         goals = np.array([goal for goal, fault in zip(goals, faults, strict=True) if not fault])
         if not len(goals):
             raise fail(PlanningReason.GOAL_INVALID, faults[0])
-        margins = dict[frozenset[Key], float]()
+        margins = dict.fromkeys(plain.list_own_pairs(), 0.9 * OWN_CLEARANCE)
         for at in (start, *goals):
-            for pair, away in plain.measure_near(*locate(at), within=largest).items():
-                margins[pair] = min(margins.get(pair, largest), 0.9 * away)
-        collisions = plain.with_margins(margins) if margins else plain
+            for pair, away in plain.measure_near(*locate(at), within=CLEARANCE).items():
+                margins[pair] = min(margins.get(pair, CLEARANCE), 0.9 * away)
+        collisions = plain.with_margins(margins)
         *far, turn = plain.compute_sweeps().tolist()
         scale = np.maximum(far if len(far) == len(start) else (1.0, 1.0, max(turn, 0.1), *far), 1e-3)
         goals = self._list_turns(start, goals)
@@ -378,25 +383,55 @@ class ArmPlanner:
         low = np.where(around, (start - math.tau) * scale, low)
         high = np.where(around, (start + math.tau) * scale, high)
         spent = CheckerBudget(budget, clock)
-        for margin in KEPT_MARGINS:
-            if not (does_base_fit(start, margin) and all(does_base_fit(goal, margin) for goal in goals)):
-                continue
+        fitting = [margin for margin in BASE_CLEARANCES
+                   if does_base_fit(start, margin) and all(does_base_fit(goal, margin) for goal in goals)]
+        if not fitting:
+            raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION, "the base has less than 1 mm of room at start or goal")
+        margin = fitting[0]
 
-            def is_free(at: NDArray[np.float64], margin: float = margin) -> bool:
-                return does_base_fit(at / scale, margin) and collisions.is_free(*locate(at / scale))
+        def is_free(at: NDArray[np.float64], tests: ArmCollisions = collisions) -> bool:
+            return does_base_fit(at, margin) and tests.is_free(*locate(at))
 
-            try:
-                path = find_joint_path(low, high, start * scale, goals * scale, is_free,
-                                       margin / 2.0 / math.sqrt(len(scale)), spent, planner=planner, seed=seed)
-            except OutOfTime:
-                raise fail(clock.reason) from None
-            if path is not None and collisions.is_path_clear(path / scale, scale, locate):
-                kept = min([margin, *margins.values()])
-                return MotionPath(names, path / scale, scale, kept / 4.0, planner, spent.calls, read_clock() - began,
-                                  self.rules.robot)
-            if spent.calls >= budget:
-                raise fail(PlanningReason.BUDGET_EXHAUSTED)
-        raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION)
+        def is_move_free(begin: NDArray[np.float64], end: NDArray[np.float64],
+                         tests: ArmCollisions = collisions) -> bool:
+            if not all(is_free(begin + share * (end - begin), tests) for share in (1.0, 0.5, 0.25, 0.75)):
+                return False
+            change, done = np.zeros(3 + joints), 0.0
+            change[-len(begin):] = end - begin
+            base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * turn)
+            while done < 1.0:
+                spent.spend(1)
+                at = begin + done * (end - begin)
+                most = 1.0 - done
+                if base_motion > 0.0:
+                    room = next((room for room in _BASE_ROOMS if does_base_fit(at, room)), margin)
+                    if room == margin and not does_base_fit(at, margin):
+                        return False
+                    most = min(most, (room - margin / 2.0) / base_motion)
+                share = tests.advance(*locate(at), change, most)
+                if share < 0.0:
+                    return False
+                done += share
+            return True
+
+        try:
+            path = find_joint_path(low, high, start * scale, goals * scale, lambda at: is_free(at / scale),
+                                   lambda begin, end: is_move_free(begin / scale, end / scale), spent,
+                                   planner=planner, seed=seed)
+        except OutOfTime:
+            raise fail(clock.reason) from None
+        calls = spent.calls
+        if path is None:
+            raise fail(PlanningReason.BUDGET_EXHAUSTED if spent.calls >= budget
+                       else PlanningReason.UNREACHABLE_AT_RESOLUTION)
+        points, kept = path / scale, min([margin, *margins.values()])
+        spent = CheckerBudget(10 * budget + 10_000)
+        for more in _CORNER_CLEARANCES if len(points) > 2 and kept < margin else ():  # corners are rounded within it
+            wider = plain.with_margins({pair: max(kept, more) for pair, kept in margins.items()})
+            if all(is_move_free(begin, end, wider) for begin, end in itertools.pairwise(points)):
+                kept = min(margin, more)
+                break
+        return MotionPath(names, points, scale, kept / 4.0, planner, calls, read_clock() - began, self.rules.robot)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -439,22 +474,6 @@ class ReachMap:
         if path is not None:
             save_figure(path, figure)
         return figure
-
-
-def _read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """Text of an SRDF, and the joint angles of its group states; joints that a state leaves out are at home."""
-    text = source if isinstance(source, str) and source.lstrip().startswith("<") else None
-    try:
-        text = Path(source).read_text(encoding="utf-8") if text is None else text
-        root = ElementTree.fromstring(text)
-        states = {state.get("name", ""): {joint.get("name"): float(joint.get("value", "")) for joint in state}
-                  for state in root.findall("group_state")}
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise ConfigError("srdf", str(source)[:60], f"an SRDF, its text or path: {error}") from None
-    if root.tag != "robot":
-        raise ConfigError("srdf", root.tag, "an SRDF, whose root is <robot>")
-    home = dict(zip(robot.joint_names, robot.home, strict=True))
-    return text, {name: tuple(angles.get(joint, at) for joint, at in home.items()) for name, angles in states.items()}
 
 
 def _make_halton(count: int, dimensions: int) -> NDArray[np.float64]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -34,6 +34,8 @@ from hrl_escape.planning.arm.shapes import make_shape  # needs coal
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
+TOUCHING = 1e-3
+"""Links that are nearer than this at home may touch, m: hulls are larger than the links."""
 FEW_SOLIDS, MOST_TILES = 64, 256
 """Solids up to which all are tested, and tiles of the floor whose solids are kept beyond that."""
 
@@ -181,6 +183,21 @@ Key: TypeAlias = "str | Solid"
 """A thing that collides: the name of a link's shape, `floor`, or a solid."""
 
 
+class _Pairs(NamedTuple):
+    """What bounds the distances and motions of tested pairs of bodies; the second of a pair may be a solid."""
+
+    first: NDArray[np.int64]  # (pairs,), numbers of geometry objects
+    second: NDArray[np.int64]
+    centres: list[NDArray[np.float64]]  # of the objects' spheres, in their own frames, m
+    radii: NDArray[np.float64]  # (pairs,), of both spheres together, m
+    speeds: NDArray[np.float64]  # (pairs, 3 + joints), metres for each unit of x, y, heading and joints
+    margins: NDArray[np.float64]  # (pairs,), m
+    on_solid: NDArray[np.bool_]  # (pairs,)
+    turns: NDArray[np.float64]  # (pairs with a solid, 3, 3), the solid's rotation
+    halves: NDArray[np.float64]  # (pairs with a solid, 3), half sizes of the solid's box, m
+    solid_radii: NDArray[np.float64]  # (pairs with a solid,), of the link's sphere, m
+
+
 class ArmCollisions:
     """Collision test of the arm against solids, the floor and the robot itself, by coal.
 
@@ -300,27 +317,19 @@ class ArmCollisions:
 
         The base's turn comes last.
         """
-        model, far, moved = self._model, np.zeros(len(self._used) + 1), self._moved
+        far = np.zeros(len(self._used) + 1)
         for item in self._geometry.geometryObjects.tolist():
             if item.parentJoint == 0:  # a solid
                 continue
             item.geometry.computeLocalAABB()
-            reach = float(np.linalg.norm(item.placement.act(item.geometry.aabb_center))) + item.geometry.aabb_radius
-            joint, far_here = item.parentJoint, np.zeros(len(self._used))
-            while joint > 0:
-                if joint in moved:
-                    number, factor = moved[joint]
-                    metres = 1.0 if "P" in model.joints[joint].shortname()[-2:] else reach
-                    far_here[number] += abs(factor) * metres
+            here = np.zeros_like(far)
+            for joint, reach in self._measure_reach(item).items():
+                if joint in self._moved:
+                    number, factor = self._moved[joint]
+                    here[number] += abs(factor) * reach
                 elif joint == 1:
-                    far[-1] = max(far[-1], reach)
-                reach += float(np.linalg.norm(model.jointPlacements[joint].translation))
-                if "P" in model.joints[joint].shortname()[-2:]:  # it slides
-                    low, high = model.lowerPositionLimit, model.upperPositionLimit
-                    at = model.joints[joint].idx_q
-                    reach += float(max(abs(low[at]), abs(high[at])))
-                joint = model.parents[joint]
-            far[:-1] = np.maximum(far[:-1], far_here)
+                    here[-1] = reach
+            far = np.maximum(far, here)
         return far
 
     @cached_property
@@ -341,15 +350,16 @@ class ArmCollisions:
         return a == b or self._model.parents[a] == b or self._model.parents[b] == a
 
     def _keep_clear(self, geometry: Any, pairs: list[tuple[int, int]]) -> None:
-        """Keep for collision tests only the pairs that are apart with all joints at home."""
+        """Keep for collision tests only the pairs that are apart by `TOUCHING` with all joints at home."""
         data = geometry.createData()
         home = self._make_q(0.0, 0.0, 0.0, self.robot.home)
         pinocchio.updateGeometryPlacements(self._model, self._data, geometry, data, home)
+        request = coal.CollisionRequest()
+        request.security_margin = TOUCHING
         for i, j in pairs:
             a, b = geometry.geometryObjects[i], geometry.geometryObjects[j]
             where = [coal.Transform3s(data.oMg[k].rotation, data.oMg[k].translation) for k in (i, j)]
-            if not coal.collide(a.geometry, where[0], b.geometry, where[1], coal.CollisionRequest(),
-                                coal.CollisionResult()):
+            if not coal.collide(a.geometry, where[0], b.geometry, where[1], request, coal.CollisionResult()):
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, j))
 
     def _make_q(self, x: float, y: float, heading: float, angles: Sequence[float]) -> NDArray[np.float64]:
@@ -384,54 +394,97 @@ class ArmCollisions:
                 found[key] = min(away, found[key]) if key in found else away
         return found
 
-    def is_path_clear(self, points: NDArray[np.float64], scale: NDArray[np.float64],
-                      locate: Callable[[NDArray[np.float64]], tuple[float, float, float, list[float]]]) -> bool:
-        """Return whether pairs with margins of their own stay apart on a path, by conservative advancement.
+    def list_own_pairs(self) -> set[frozenset[Key]]:
+        """Return the tested pairs of links of the robot."""
+        return {pair for pair in map(self._name_pair, self._geometry.collisionPairs)
+                if not any(isinstance(key, Solid) or key == "floor" for key in pair)}
+
+    def advance(self, x: float, y: float, heading: float, angles: Sequence[float], change: NDArray[np.float64],
+                most: float) -> float:
+        """Return how much of a straight motion is certainly free from a posture on, by conservative advancement.
+
+        A pair of bodies moves by at most `reach * change` for a joint between them, so that it stays apart while that
+        is less than its distance. Distances are bounded by spheres around the bodies, and measured where that bound is
+        too small (Schwarzer, Saha and Latombe 2005).
 
         Args:
-            points: places to go through in straight lines, (n, coordinates), m and rad.
-            scale: metres by which a point of the robot moves at most for each unit of a coordinate, (coordinates,).
-            locate: x and y of the base's axis, m, its heading and joint angles, rad, of a place.
+            x: of the base's axis in the room, m.
+            y: likewise.
+            heading: of the base, rad.
+            angles: of the joints, rad.
+            change: how far x, y, heading and joints move in the whole motion, (3 + joints,), m and rad.
+            most: largest share of the motion that is asked for.
+
+        Returns:
+            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than its margin.
         """
-        watched = {pair: 0.5 * margin for pair, margin in self._margins.items()}
-        if not watched:
-            return True
-        for begin, end in itertools.pairwise(points):
-            length, done = float(np.abs((end - begin) * scale).sum()), 0.0
-            while True:
-                at = begin + (end - begin) * (done / length if length else 0.0)
-                distances = self._measure(locate(at), watched)
-                if any(away < watched[pair] for pair, away in distances.items()):
-                    return False
-                if done >= length:
-                    break
-                done = min(length, done + min((away - 0.5 * watched[pair] for pair, away in distances.items()),
-                                              default=length))
-        return True
+        return self._find_near(x, y)._advance(self._make_q(x, y, heading, angles), np.abs(change), most)
 
-    def _measure(self, posture: tuple[float, float, float, list[float]], pairs: Collection[frozenset[Key]]
-                 ) -> dict[frozenset[Key], float]:
-        """Distances of given pairs of bodies, m; those of solids out of reach are left out."""
-        near, found = self._find_near(*posture[:2]), dict[frozenset[Key], float]()
-        pinocchio.updateGeometryPlacements(near._model, near._data, near._geometry, near._distances,
-                                           near._make_q(*posture))
-        for pair in pairs:
-            for number in near._numbers.get(pair, ()):
-                away = pinocchio.computeDistance(near._geometry, near._distances, number).min_distance
-                found[pair] = min(away, found[pair]) if pair in found else away
-        return found
-
-    @cached_property
-    def _numbers(self) -> dict[frozenset[Key], list[int]]:
-        """Numbers of collision pairs by what they are of."""
-        numbers = dict[frozenset[Key], list[int]]()
-        for number, pair in enumerate(self._geometry.collisionPairs):
-            numbers.setdefault(self._name_pair(pair), []).append(number)
-        return numbers
+    def _advance(self, q: NDArray[np.float64], change: NDArray[np.float64], most: float) -> float:
+        pairs, data = self._pairs, self._distances
+        pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, data, q)
+        centres = np.array([data.oMg[k].act(centre) for k, centre in enumerate(pairs.centres)])
+        between = centres[pairs.first] - centres[pairs.second]
+        away = np.sqrt((between * between).sum(axis=1)) - pairs.radii
+        local = np.abs(between[pairs.on_solid][:, None, :] @ pairs.turns)[:, 0]
+        outside = np.maximum(local - pairs.halves, 0.0)
+        away[pairs.on_solid] = np.sqrt((outside * outside).sum(axis=1)) - pairs.solid_radii
+        motion = pairs.speeds @ change
+        share = (away - 0.5 * pairs.margins) / np.maximum(motion, 1e-12)
+        for number in np.argsort(share).tolist():
+            if share[number] >= most:
+                break
+            exact = pinocchio.computeDistance(self._geometry, data, number).min_distance
+            if exact < pairs.margins[number]:
+                return -1.0
+            most = min(most, (exact - 0.5 * pairs.margins[number]) / max(motion[number], 1e-12))
+        return most
 
     @cached_property
     def _distances(self) -> Any:
         return self._geometry.createData()
+
+    @cached_property
+    def _pairs(self) -> _Pairs:
+        geometry, items = self._geometry, self._geometry.geometryObjects.tolist()
+        ends = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+        first, second = np.array(ends, dtype=np.int64).reshape(-1, 2).T
+        for item in items:
+            item.geometry.computeLocalAABB()
+        radii = np.array([item.geometry.aabb_radius for item in items])
+        reaches = [self._measure_reach(item) for item in items]
+        speeds = np.zeros((len(ends), 3 + len(self._used)))
+        for number, (i, j) in enumerate(ends):
+            for joint in reaches[i].keys() ^ reaches[j].keys():
+                reach = reaches[i].get(joint, reaches[j].get(joint, 0.0))
+                if joint == 1:
+                    speeds[number, :3] += 1.0, 1.0, reach
+                elif joint in self._moved:
+                    planned, factor = self._moved[joint]
+                    speeds[number, 3 + planned] += abs(factor) * reach
+        on_solid = np.array([items[j].parentJoint == 0 for _, j in ends], dtype=bool)
+        fixed = [items[j] for (_, j), is_fixed in zip(ends, on_solid, strict=True) if is_fixed]
+        return _Pairs(first, second, [item.geometry.aabb_center for item in items], radii[first] + radii[second],
+                      speeds, np.array([self._margins.get(self._name_pair(pair), self.margin)
+                                        for pair in geometry.collisionPairs]),
+                      on_solid, np.array([item.placement.rotation for item in fixed]).reshape(-1, 3, 3),
+                      np.array([_measure_half(item.geometry) for item in fixed]).reshape(-1, 3),
+                      radii[first[on_solid]])
+
+    def _measure_reach(self, item: Any) -> dict[int, float]:
+        """Metres that a shape moves at most for each unit of a joint above it, by the joint's number in the model."""
+        model, reaches = self._model, dict[int, float]()
+        reach = float(np.linalg.norm(item.placement.act(item.geometry.aabb_center))) + item.geometry.aabb_radius
+        joint = item.parentJoint
+        while joint > 0:
+            slides = "P" in model.joints[joint].shortname()[-2:]
+            reaches[joint] = 1.0 if slides else reach
+            reach += float(np.linalg.norm(model.jointPlacements[joint].translation))
+            if slides:
+                at = model.joints[joint].idx_q
+                reach += float(max(abs(model.lowerPositionLimit[at]), abs(model.upperPositionLimit[at])))
+            joint = model.parents[joint]
+        return reaches
 
     def describe(self, pair: frozenset[Key]) -> str:
         """Describe a pair in words, such as `arm-3 to obstacle at (1, 2)`."""
@@ -500,6 +553,13 @@ def _read_origin(element: ElementTree.Element) -> Any:
         raise RobotError("an <origin> of a collision shape of the URDF must have 3 finite numbers for xyz and rpy")
     xyz, rpy = values
     return pinocchio.SE3(pinocchio.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
+
+
+def _measure_half(shape: Any) -> NDArray[np.float64]:
+    """Half sizes of the box around a solid in its own frame, m."""
+    if isinstance(shape, coal.Box):
+        return np.asarray(shape.halfSide)
+    return np.array([shape.radius, shape.radius, shape.halfLength])
 
 
 def _make_floor() -> Any:

@@ -86,9 +86,9 @@ for _name in OMPL_PLANNERS:
 
 
 def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
-                    goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool], spacing: float,
-                    budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0
-                    ) -> NDArray[np.float64] | None:
+                    goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool],
+                    is_move_free: Callable[[NDArray[np.float64], NDArray[np.float64]], bool], budget: CheckerBudget, *,
+                    planner: str = "RRTConnect", seed: int = 0) -> NDArray[np.float64] | None:
     """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
 
     Args:
@@ -97,7 +97,7 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         start: first place, shape (n,).
         goals: places of which any will do, shape (m, n).
         is_free: tests one place.
-        spacing: distance between tested places of a motion.
+        is_move_free: tests a straight motion between two places, of which the first is free.
         budget: places that may be tested, and the time limit.
         planner: one of `OMPL_PLANNERS`.
         seed: the same seed gives the same path.
@@ -110,12 +110,18 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
     """
     axes, stages = range(len(low)), (budget.most / 4, budget.most / 2)
 
+    def read(state: Any) -> NDArray[np.float64]:
+        return np.array([state[k] for k in axes])
+
     def check(state: Any) -> bool:
         budget.spend(1)
-        return bool(is_free(np.array([state[k] for k in axes])))
+        return bool(is_free(read(state)))
 
     try:
-        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages)
+        if is_move_free(start, goals[0]):  # the nearest turn of the first goal is in sight
+            return np.stack([start, goals[0]])
+        path = _search(planner, low, high, start, goals, check, 0.1, budget, seed, stages, False,
+                       lambda begin, end: is_move_free(read(begin), read(end)))
     except Spent:
         path = None
     if path is not None and np.abs(goals - path[-1]).max(axis=1).min() <= 1e-9:
