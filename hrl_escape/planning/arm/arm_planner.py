@@ -415,9 +415,9 @@ class ArmPlanner:
             return True
 
         try:
-            path = find_joint_path(low, high, start * scale, goals * scale, lambda at: is_free(at / scale),
-                                   lambda begin, end: is_move_free(begin / scale, end / scale), spent,
-                                   planner=planner, seed=seed)
+            path = find_joint_path(low, high, start * scale, goals * scale, lambda at: is_free(at / scale), margin,
+                                   spent, planner=planner, seed=seed,
+                                   is_move_free=lambda begin, end: is_move_free(begin / scale, end / scale))
         except OutOfTime:
             raise fail(clock.reason) from None
         calls = spent.calls

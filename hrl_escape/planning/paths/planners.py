@@ -86,9 +86,10 @@ for _name in OMPL_PLANNERS:
 
 
 def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
-                    goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool],
-                    is_move_free: Callable[[NDArray[np.float64], NDArray[np.float64]], bool], budget: CheckerBudget, *,
-                    planner: str = "RRTConnect", seed: int = 0) -> NDArray[np.float64] | None:
+                    goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool], spacing: float,
+                    budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0,
+                    is_move_free: Callable[[NDArray[np.float64], NDArray[np.float64]], bool] | None = None
+                    ) -> NDArray[np.float64] | None:
     """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
 
     Args:
@@ -97,10 +98,12 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         start: first place, shape (n,).
         goals: places of which any will do, shape (m, n).
         is_free: tests one place.
-        is_move_free: tests a straight motion between two places, of which the first is free.
+        spacing: distance between tested places of a motion.
         budget: places that may be tested, and the time limit.
         planner: one of `OMPL_PLANNERS`.
         seed: the same seed gives the same path.
+        is_move_free: tests a straight motion between two places, of which the first is free, whole; then `spacing` has
+            no effect.
 
     Returns:
         Places to go through in straight lines, shape (k, n); None if the planner gave up or the budget is used up.
@@ -118,10 +121,10 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         return bool(is_free(read(state)))
 
     try:
-        if is_move_free(start, goals[0]):  # the nearest turn of the first goal is in sight
+        if is_move_free is not None and is_move_free(start, goals[0]):
             return np.stack([start, goals[0]])
-        path = _search(planner, low, high, start, goals, check, 0.1, budget, seed, stages, False,
-                       lambda begin, end: is_move_free(read(begin), read(end)))
+        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages,
+                       is_move_free=is_move_free and (lambda begin, end: is_move_free(read(begin), read(end))))
     except Spent:
         path = None
     if path is not None and np.abs(goals - path[-1]).max(axis=1).min() <= 1e-9:
