@@ -275,7 +275,7 @@ def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
     marked, bare = generate(make_with(MarksConfig("rank")), 0), generate(make_with(MarksConfig()), 0)
     with pytest.raises(UnsupportedError, match="marks on targets"):
         EscapeRoomVectorEnv(2, instance=[marked, bare], observation="objects")
-    with pytest.raises(UnsupportedError, match="draw no marks"):
+    with pytest.raises(UnsupportedError, match="cannot draw marks"):
         EscapeRoomVectorEnv(1, instance=marked, render_mode="rgb_array")
 
 
