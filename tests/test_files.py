@@ -200,7 +200,7 @@ def test_a_file_that_grows_is_never_written_through_a_link(tmp_path):
     for name, target in (("link", "target"), ("dangling", "no-such-file")):
         (tmp_path / name).symlink_to(tmp_path / target)
         for mode in ("ab", "wb"):
-            with pytest.raises(FileWriteError, match="it is a link, and only plain files are written"):
+            with pytest.raises(FileWriteError, match="it is a link. Choose the path of a plain file"):
                 open_for_writing(tmp_path / name, mode)
     assert (tmp_path / "target").read_text() == "mine" and not (tmp_path / "no-such-file").exists()
 
