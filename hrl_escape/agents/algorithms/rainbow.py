@@ -1,8 +1,8 @@
-"""Rainbow: `dqn` with distributions of returns, dueling streams, priorities and, if asked for, noisy weights.
+"""Rainbow: `dqn` with distributions of returns, dueling streams, priorities and, optionally, noisy weights.
 
-Hessel et al. (2018), on SMDP backups. Its parts are those of Bellemare, Dabney and Munos (2017), Wang et al. (2016),
-Schaul et al. (2016) and Fortunato et al. (2018); double estimation and backups of n decisions are `dqn`'s own. With all
-four off it is `dqn` to the bit.
+Hessel et al. (2018), on SMDP backups. The parts come from Bellemare, Dabney and Munos (2017), Wang et al. (2016),
+Schaul et al. (2016) and Fortunato et al. (2018); double estimation and backups of n decisions are part of `dqn`.
+Without these four parts it equals `dqn` exactly.
 """
 
 from __future__ import annotations
@@ -40,26 +40,27 @@ from hrl_escape.settings import Range
 class RainbowSettings(AgentSettings):
     """Settings of `rainbow`: its own parts, then those of `dqn`.
 
-    Defaults are those of the paper but for the support, `importance` and the noise, which costs networks of this size
+    Defaults follow the paper except for the support, `importance` and the noise. In networks of this size, noise costs
     more than it explores (`benchmarks/README.md`).
     """
 
     noise: Annotated[float, Range(0)] = 0.0
-    """sigma_0 of the noise in the weights, drawn for each decision in place of epsilon: its standard deviation at the
-    beginning, times the square root of a layer's inputs; 0.5 in the paper. 0 has none, and explores as `dqn` does."""
+    """sigma_0, initial standard deviation of the noise in the weights, times the square root of a layer's inputs; 0.5
+    in the paper. Noise is drawn for each decision and replaces epsilon. 0 explores as `dqn` does."""
     dueling: bool = True
     """Separate streams for the state and for the advantages of actions."""
     atoms: Annotated[int, Range(1)] = 51
-    """Returns whose probabilities are learned, evenly spaced from `lowest_return` to `highest_return`; 1 learns the
-    mean alone, without bounds."""
+    """Number of atoms: returns with learned probabilities, evenly spaced from `lowest_return` to `highest_return`. More
+    are more precise; 1 learns the mean alone, without bounds."""
     lowest_return: float | None = None
-    """The lowest atom, in units of return. None is -1 / (1 - gamma), that of a reward of -1 for ever."""
+    """Lowest atom, in units of return. None is -1 / (1 - gamma), the return of a reward of -1 forever."""
     highest_return: float = 100.0
-    """The highest atom, in units of return: the reward of an exit. Returns beyond the atoms count as the nearest."""
+    """Highest atom, in units of return: the reward of an exit. Returns beyond the atoms count as the nearest atom."""
     priority_exponent: Annotated[float, Range(0)] = 0.5
-    """omega: decisions are drawn from replay in proportion to their latest loss to this power; 0 draws uniformly."""
+    """omega: the probability of a decision in replay is proportional to its latest loss to this power. More focuses on
+    surprising decisions; 0 draws uniformly."""
     importance: Annotated[float, Range(0, 1)] = 0.4
-    """beta at the beginning, the power to which weights undo the priorities; it rises linearly to 1."""
+    """beta at the beginning, the power of the weights that correct for priorities; it rises linearly to 1."""
     importance_steps: Annotated[int, Range(1)] = 100_000
     """Steps of the clock over which `importance` rises."""
 
@@ -85,12 +86,12 @@ class RainbowSettings(AgentSettings):
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
     """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; 0 sets none."""
     bonus: Literal["counts", "distillation"] = "counts"
-    """Novelty behind `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et
-    al. 2018)."""
+    """Novelty for `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et al.
+    2018)."""
     bonus_weight: Annotated[float, Range(0)] = 0.0
-    """Largest cost of reaching what is known, in units of return. More explores more; 0 turns novelty off."""
+    """Largest cost of reaching known states, in units of return. More explores more; 0 turns novelty off."""
     bonus_bins: Annotated[int, Range(2)] = 5
-    """Points to which a bounded component is rounded for counting. More make finer cells, each met less often."""
+    """Points to round a bounded component to for counting. More make finer cells with fewer visits each."""
 
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, for the
@@ -108,7 +109,7 @@ class RainbowSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
 
@@ -123,7 +124,7 @@ class RainbowSettings(AgentSettings):
     target_every: Annotated[int, Range(1)] = 200
     """Updates of the online network to one of the target network. Fewer follow faster and are less stable."""
     average_rate: Annotated[float, Range(0, 1)] = 0.005
-    """Share of the online network blended at each update into the average that the greedy policy follows; 0 keeps no
+    """Share of the online network blended at each update into the average that the greedy policy uses. 0 keeps no
     average."""
 
     replay_capacity: Annotated[int, Range(1)] = 50_000
@@ -140,8 +141,8 @@ class RainbowSettings(AgentSettings):
     stream_replay: Annotated[int, Range(1)] = 128
     """Least decisions of each of many environments, on average, for which replay has room."""
     hindsight_goals: Annotated[int, Range(0)] = 0
-    """Goals achieved later in its episode with which a decision is stored again (Andrychowicz et al. 2017, who take
-    4). For environments with goals; 0 for none."""
+    """Number of goals achieved later in its episode that each decision is stored with again (4 in Andrychowicz et al.
+    2017). For environments with goals; 0 for none."""
 
 
     @property
@@ -152,11 +153,11 @@ class RainbowSettings(AgentSettings):
 
     @property
     def has_own_network(self) -> bool:
-        """Dueling, atoms or noise ask for layers that a network of one number an action does not have."""
+        """Whether dueling, atoms or noise require more than a network of one number per action."""
         return self.dueling or self.atoms > 1 or self.noise > 0
 
     def check(self) -> None:
-        """Refuse bounds that are none, and rows of objects in the network's own layers."""
+        """Check the bounds of returns, and that layers of its own are used with `mlp` only."""
         low, high = self.bounds
         if self.atoms > 1 and (not low < high or self.gamma == 1 and self.lowest_return is None):
             raise AgentSettingsError("RainbowSettings.lowest_return", self.lowest_return,

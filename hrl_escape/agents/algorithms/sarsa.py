@@ -76,7 +76,7 @@ class SarsaSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
 
@@ -85,7 +85,7 @@ class SarsaSettings(AgentSettings):
     target_every: Annotated[int, Range(1)] = 1
     """Updates of the online network to one of the target network. Fewer follow faster and are less stable."""
     average_rate: Annotated[float, Range(0, 1)] = 0.0
-    """Share of the online network blended at each update into the average that the greedy policy follows; 0 keeps no
+    """Share of the online network blended at each update into the average that the greedy policy uses. 0 keeps no
     average."""
 
     replay_capacity: Annotated[int, Range(0)] = 50_000

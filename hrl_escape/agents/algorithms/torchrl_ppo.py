@@ -29,29 +29,30 @@ class TorchRLPPOSettings(AgentSettings):
     """Rollouts and losses of `torchrl-ppo`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
-    """Gradients are scaled down to this Euclidean norm."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in an update."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Logged values keep units of
+    return."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions between updates."""
     epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
+    """Passes over a rollout. More learn more from it and move further from the policy that collected it."""
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Lambda of generalised advantages, per decision."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
     """Distance from 1 at which the ratio of probabilities is clipped."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
+    """Weight of the policy's entropy in the loss. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of the critic's squared error in the loss."""
 

@@ -25,25 +25,26 @@ class TorchRLSACSettings(AgentSettings):
     """Temperature and targets of `torchrl-sac`, beside replay."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
-    """Gradients are scaled down to this Euclidean norm."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in an update."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Logged values keep units of
+    return."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay."""
     warmup: Annotated[int, Range(0)] = 500
     """Primitives before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
+    """Updates for each primitive. More learn more from the same experience and take longer."""
     alpha: Annotated[float, Range(0, open_low=True)] = 0.1
     """Temperature at the beginning, in scaled rewards a nat."""
     entropy_share: Annotated[float, Range(0, 1)] = 0.2

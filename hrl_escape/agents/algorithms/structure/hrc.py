@@ -50,7 +50,7 @@ class HrcSettings(AgentSettings):
     """Tries of an action, most bits that it needs, and the choice of interventions in `hrc`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     tries: Annotated[int, Range(1)] = 1
     """Tries of an action after each intervention; more where actions may fail."""
     max_parents: Annotated[int, Range(0, 8)] = 2

@@ -30,14 +30,15 @@ class VigoritoBartoSettings(AgentSettings):
     """Trees, experiments and options of `vigorito-barto`, beside the search."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     max_parents: Annotated[int, Range(0, 8)] = 2
-    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    """Most factors that decide an outcome, apart from a bit's own value. The number of hypotheses is the number of
+    factors to this power."""
     conditions: Literal["all-on", "any"] = "all-on"
-    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
-    (wherever every factor is a bit). `any`: each combination of their values."""
+    """Contexts that a set of parents distinguishes. `all-on`: whether all of them are on, as in a graph of
+    prerequisites (requires binary factors). `any`: each combination of their values."""
     most_nodes: Annotated[int, Range(1)] = 20_000
-    """States that a search may expand; what it has not found by then it takes to be out of reach."""
+    """Most states that a search expands. Goals not found by then count as unreachable."""
     visits: Annotated[int, Range(1)] = 3
     """Samples of a context after which a variable gets its option; with `sets`, no more are then needed."""
     models: Literal["trees", "sets"] = "trees"

@@ -34,9 +34,9 @@ class DeepAbstractQSettings(AgentSettings):
     """Settings of `deep-abstract-q`; workers are otherwise `dqn` or `q-learning` at their defaults."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     worker: Literal["network", "table"] = "network"
     """Learner of a step: `dqn`, or `q-learning`."""

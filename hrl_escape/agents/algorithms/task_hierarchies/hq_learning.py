@@ -33,16 +33,16 @@ class HqLearningSettings(AgentSettings):
     """Settings of `hq-learning`; defaults are those of the paper's key-and-door maze."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     epsilon_start: Annotated[float, Range(0, 1)] = 0.6
     """Epsilon at the beginning; the paper's p_max is 1 - epsilon."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.2
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 100_000
     """Primitives over which epsilon falls linearly."""
     agents: Annotated[int, Range(1)] = 3

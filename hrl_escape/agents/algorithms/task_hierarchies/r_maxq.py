@@ -36,21 +36,21 @@ class RMaxqSettings(AgentSettings):
     """Samples that make a pair known to `r-maxq`, and bounds of its models."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes are deterministic."""
     optimistic_value: float = 100.0
     """Value of an unknown pair (V_max), in units of return: no state's true value may be higher."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
-    """Value iteration stops when no value moves by more than this."""
+    """Largest change of a value at which value iteration stops. Smaller values are more precise and slower."""
     most_states: Annotated[int, Range(1)] = 2_000
     """Bound on states met; a task's model grows with its square."""
 
