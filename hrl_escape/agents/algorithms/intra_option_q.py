@@ -36,8 +36,8 @@ class IntraOptionQSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
@@ -45,7 +45,7 @@ class IntraOptionQSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0

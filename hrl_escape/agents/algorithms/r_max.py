@@ -47,7 +47,8 @@ class RMaxSettings(AgentSettings):
     """`factors`: a state is its discrete components, in a room the puzzle's bits, without the pose. `cells`: all
     components, rounded by `bins` and `resolution`."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
-    """Largest change of a value at which value iteration stops. Smaller values are more precise and slower."""
+    """Tolerance of value iteration, which stops when all changes are smaller. Smaller values are more precise and
+    slower."""
 
 
 _KEPT = SMDPTransition._fields[:-2]  # without the flag of truncation and the trace

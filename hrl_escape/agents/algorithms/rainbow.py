@@ -38,7 +38,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class RainbowSettings(AgentSettings):
-    """Settings of `rainbow`: its own parts, then those of `dqn`.
+    """Settings of `rainbow`: its own parts, then the settings of `dqn`.
 
     Defaults follow the paper except for the support, `importance` and the noise. In networks of this size, noise costs
     more than it explores (`benchmarks/README.md`).
@@ -53,7 +53,7 @@ class RainbowSettings(AgentSettings):
     """Number of atoms: returns with learned probabilities, evenly spaced from `lowest_return` to `highest_return`. More
     are more precise; 1 learns the mean alone, without bounds."""
     lowest_return: float | None = None
-    """Lowest atom, in units of return. None is -1 / (1 - gamma), the return of a reward of -1 forever."""
+    """Lowest atom, in units of return. By default -1 / (1 - gamma), the return of a reward of -1 forever."""
     highest_return: float = 100.0
     """Highest atom, in units of return: the reward of an exit. Returns beyond the atoms count as the nearest atom."""
     priority_exponent: Annotated[float, Range(0)] = 0.5
@@ -62,14 +62,14 @@ class RainbowSettings(AgentSettings):
     importance: Annotated[float, Range(0, 1)] = 0.4
     """beta at the beginning, the power of the weights that correct for priorities; it rises linearly to 1."""
     importance_steps: Annotated[int, Range(1)] = 100_000
-    """Steps of the clock over which `importance` rises."""
+    """Number of clock steps of the linear increase of `importance`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive. Higher values look further ahead and learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
 
@@ -80,7 +80,7 @@ class RainbowSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
     """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
@@ -139,7 +139,7 @@ class RainbowSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     hindsight_goals: Annotated[int, Range(0)] = 0
     """Number of goals achieved later in its episode that each decision is stored with again (4 in Andrychowicz et al.
     2017). For environments with goals; 0 for none."""
@@ -168,21 +168,21 @@ class RainbowSettings(AgentSettings):
 
 
 def project(reward: Tensor, bootstrap: Tensor, shares: Tensor, support: Tensor) -> Tensor:
-    """Probabilities of R + b Z on the atoms of Z, each moved atom shared by its two neighbours (C51, algorithm 1).
+    """Project the distribution of R + b Z onto the atoms of Z; each moved atom is shared by its two neighbours.
 
-    R and b, the product of gamma^k of the decisions joined, are (batch,), the probabilities `shares` of Z (batch,
-    atoms), as the result, whose rows sum to 1; `support` are the atoms, evenly spaced. What lies beyond them counts as
-    their end.
+    This is algorithm 1 of C51. R and b, the product of gamma^k of the joined decisions, are (batch,). The probabilities
+    `shares` of Z and of the result are (batch, atoms), with rows of sum 1. `support` are the evenly spaced atoms.
+    Values beyond them count as the nearest end.
     """
     moved = (reward[:, None] + bootstrap[:, None] * support).clamp(support[0], support[-1])
     place = (moved - support[0]) / (support[1] - support[0])
-    # A triangle of width 1 round each atom, so that a place on an atom is no case of its own.
+    # A triangle of width 1 around each atom, which needs no special case for values on an atom.
     near = (1 - (place[:, :, None] - torch.arange(len(support), device=support.device)).abs()).clamp(min=0)
     return torch.einsum("bi,bij->bj", shares, near)
 
 
 class ReturnLayers(nn.Module):
-    """Layers from encoded observations to the returns of all actions: dueling, by atoms, under noise, as settings say.
+    """Layers from encoded observations to the returns of all actions: dueling, atoms and noise as configured.
 
     Attributes:
         support: atoms in scaled rewards, (atoms,).
@@ -215,7 +215,7 @@ class ReturnLayers(nn.Module):
         self.register_buffer("support", torch.linspace(low, high, settings.atoms), persistent=False)
 
     def compute_logits(self, observation: Tensor) -> Tensor:
-        """Logits of the atoms, or values where there is one, (n, actions, atoms)."""
+        """Return logits of the atoms, or values with a single atom, (n, actions, atoms)."""
         hidden = self.body(observation)
         advantage = self.advantage(hidden).unflatten(1, (self._actions, -1))
         if self.state is None:
@@ -223,7 +223,7 @@ class ReturnLayers(nn.Module):
         return self.state(hidden)[:, None] + advantage - advantage.mean(dim=1, keepdim=True)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Means of the returns, in scaled rewards, (n, actions)."""
+        """Return means of the returns, in scaled rewards, (n, actions)."""
         logits = self.compute_logits(observation)
         return logits.squeeze(2) if logits.shape[2] == 1 else logits.softmax(dim=2) @ self.support
 
@@ -231,9 +231,9 @@ class ReturnLayers(nn.Module):
 class Rainbow(DQN):
     """Minimise the mean of w KL(projected R + b Z_target(s', o*) || Z_theta(s, o)), o* as in `dqn`.
 
-    Z are distributions of returns over `atoms`, Q their means; w undoes the priorities with which decisions are drawn.
-    R and b are those of an SMDP backup of `n_step` decisions, so that an option shrinks the support by its own gamma^k.
-    With one atom the loss is that of `dqn`. Evaluation follows the means of noisy weights.
+    Z are distributions of returns over `atoms`, Q their means; w corrects for the priorities of sampling. R and b
+    belong to an SMDP backup of `n_step` decisions, and an option therefore shrinks the support by its own gamma^k. With
+    one atom the loss is the same as in `dqn`. Evaluation uses the means of noisy weights.
     """
 
     Settings: ClassVar[type] = RainbowSettings
@@ -256,7 +256,7 @@ class Rainbow(DQN):
 
     @contextmanager
     def _draw_noise(self) -> Iterator[None]:
-        """Noise in the online and the target network; afterwards there is none, and evaluation follows the means."""
+        """Use noise in the online and the target network during the block; evaluation uses the means."""
         layers = [layer for network in (self.values.online, self.values.target) for layer in network.modules()
                   if isinstance(layer, NoisyLinear)]
         for layer in layers:
@@ -266,26 +266,26 @@ class Rainbow(DQN):
             layer.draw(None)
 
     def act(self, batch: Moments) -> Any:
-        """Explore by the online network, under one noise for all rows, int64 (n,)."""
+        """Explore by the online network, with one noise for all rows, int64 (n,)."""
         with self._draw_noise():
             return super().act(batch)
 
     def get_exploration(self) -> dict[str, float]:
-        """Parameters of exploration; epsilon is 0 where noise in the weights explores."""
+        """Return parameters of exploration; epsilon is 0 if noise in the weights explores."""
         return super().get_exploration() | ({"epsilon": 0.0} if self.settings.noise else {})
 
     def make_replay(self, num_envs: int, device: torch.device | None) -> None:
-        """Make an empty replay, and priorities of its rows."""
+        """Make an empty replay with priorities of its rows."""
         super().make_replay(num_envs, device)
         self._priorities = Priorities(self.settings.priority_exponent)
         self._replay_rng = make_rng(self._seed, "replay")
 
     def list_running(self) -> dict[str, Stateful]:
-        """Parts that belong to the present environments, by the names in a checkpoint."""
+        """Return parts that belong to the current environments, by their names in a checkpoint."""
         return super().list_running() | {"priorities": self._priorities}
 
     def draw(self, size: int) -> Experience:
-        """Draw a batch by priorities, whose rows and weights are kept for the update."""
+        """Draw a batch by priorities; its rows and weights are stored for the update."""
         settings = self.settings
         if not settings.priority_exponent:
             return super().draw(size)
@@ -296,7 +296,7 @@ class Rainbow(DQN):
         return self.replay.take(self._arrays.restore(self._drawn[0]))
 
     def compute_targets(self, batch: Experience) -> Tensor:
-        """Projected distributions of R + b Z_target(s', o*), (batch, atoms); with one atom its value, (batch,)."""
+        """Return projected distributions of R + b Z_target(s', o*), (batch, atoms), or values (batch,) for one atom."""
         if self.settings.atoms == 1:
             return super().compute_targets(batch)
         layers: Any = self.values.target[0]
@@ -305,7 +305,7 @@ class Rainbow(DQN):
         return project(batch.reward, batch.bootstrap, shares[torch.arange(len(best)), best.squeeze(1)], layers.support)
 
     def compute_losses(self, batch: Experience, targets: Tensor) -> tuple[Tensor, Tensor]:
-        """Loss of each decision against its target, (batch,), and Q_theta(s, o), (batch,), without gradient."""
+        """Return each decision's loss against its target, (batch,), and Q_theta(s, o), (batch,), without gradient."""
         if self.settings.atoms == 1:
             values = self.values.online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
             if self.settings.loss == "huber":
@@ -317,7 +317,7 @@ class Rainbow(DQN):
         return known.sum(dim=1), logits.detach().softmax(dim=1) @ layers.support
 
     def update(self, batch: Experience) -> Mapping[str, float]:
-        """One gradient step on a batch, weighted as it was drawn; returns numbers to log."""
+        """Make one gradient step on a batch with its sampling weights; return numbers to log."""
         drawn, self._drawn = self._drawn, None
         if drawn is None and not self.settings.has_own_network:
             return super().update(batch)

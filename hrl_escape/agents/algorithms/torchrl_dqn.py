@@ -1,6 +1,6 @@
-"""Deep Q-network by TorchRL's parts: `QValueActor`, `EGreedyModule`, `ReplayBuffer`, `DQNLoss` and `HardUpdate`.
+"""Deep Q-network from TorchRL's parts: `QValueActor`, `EGreedyModule`, `ReplayBuffer`, `DQNLoss` and `HardUpdate`.
 
-The algorithm is that of `dqn` with one-step targets, without its averaged network; see `components/torchrl_agent.py`.
+The algorithm is `dqn` with one-step targets and without its averaged network; see `components/torchrl_agent.py`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class TorchRLDQNSettings(AgentSettings):
-    """Exploration and targets of `torchrl-dqn`, beside replay."""
+    """Settings of `torchrl-dqn`: exploration, targets and replay."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
@@ -53,11 +53,11 @@ class TorchRLDQNSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     double: bool = True
-    """The online network chooses the next action, the target network values it."""
+    """The online network chooses the next action and the target network values it, which avoids overestimation."""
     target_every: Annotated[int, Range(1)] = 200
-    """Updates between copies of the online network into the target network."""
+    """Updates between copies of the online network into the target network. Fewer follow faster and are less stable."""
 
 
 class TorchRLDQN(TorchRLReplayAgent):
@@ -87,18 +87,18 @@ class TorchRLDQN(TorchRLReplayAgent):
 
     @property
     def _exploration(self) -> dict[str, torch.Tensor]:
-        """Epsilon now, and its schedule."""
+        """Current epsilon, and its schedule."""
         return dict(self._greed.named_buffers())
 
     def compute_values(self, observation: Any) -> NDArray:
-        """Compute Q(s, .) at an observation, in units of return, float32 (actions,)."""
+        """Return Q(s, .) at an observation, in units of return, float32 (actions,)."""
         return self._compute(observation) / self.settings.reward_scale
 
     def _explore(self, seen: TensorDictBase) -> TensorDictBase:
-        """Choose greedily, or with probability epsilon uniformly."""
+        """Choose greedily, or uniformly with probability epsilon."""
         return self._greed(self._actor(seen))
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Let epsilon fall, store the decision, then make the updates that are due."""
+        """Decay epsilon, store the decision, then make the updates that are due."""
         self._greed.step(transition.duration)
         return super().observe(transition)

@@ -1,7 +1,7 @@
-"""Discrete soft actor-critic by TorchRL's parts: `ProbabilisticActor`, `ReplayBuffer`, `DiscreteSACLoss`, `SoftUpdate`.
+"""Discrete soft actor-critic from TorchRL: `ProbabilisticActor`, `ReplayBuffer`, `DiscreteSACLoss`, `SoftUpdate`.
 
-Soft actor-critic (Haarnoja et al. 2018) for discrete actions (Christodoulou 2019): the policy is random, and its
-entropy is worth a temperature that is learned.
+Soft actor-critic (Haarnoja et al. 2018) for discrete actions (Christodoulou 2019): the policy is stochastic, and a
+learned temperature weighs its entropy.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class TorchRLSACSettings(AgentSettings):
-    """Temperature and targets of `torchrl-sac`, beside replay."""
+    """Settings of `torchrl-sac`: temperature, targets and replay."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
@@ -46,15 +46,16 @@ class TorchRLSACSettings(AgentSettings):
     updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates for each primitive. More learn more from the same experience and take longer."""
     alpha: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Temperature at the beginning, in scaled rewards a nat."""
+    """Initial temperature, in scaled rewards per nat. More explores more."""
     entropy_share: Annotated[float, Range(0, 1)] = 0.2
-    """Share of the entropy of the uniform policy over all actions towards which the temperature is learned."""
+    """Target entropy for the temperature, as a fraction of the uniform policy's over all actions. More explores
+    more."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.02
-    """Share of the critics blended into their targets at each update."""
+    """Share of the critics blended into their targets at each update. Smaller rates are slower and more stable."""
 
 
 class TorchRLSAC(TorchRLReplayAgent):
-    """Maximise E[Q(s, o) + alpha H(pi(. | s))], with two critics whose smaller value counts.
+    """Maximise E[Q(s, o) + alpha H(pi(. | s))], with the smaller value of two critics.
 
     The critics' target is R + gamma^k (1 - terminated) sum over legal o' of pi(o' | s') (min Q'(s', o') - alpha log
     pi(o' | s')).
@@ -77,5 +78,5 @@ class TorchRLSAC(TorchRLReplayAgent):
         self._target = SoftUpdate(loss, tau=settings.target_rate)
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Compute the logits of the policy at an observation, before any mask, float32 (actions,)."""
+        """Return the logits of the policy at an observation, before any mask, float32 (actions,)."""
         return self._compute(observation)

@@ -105,7 +105,7 @@ class OfflineData(Protocol):
         ...
 
     def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
-        """Make the environment for tests; with `options` its actions are those of the decisions."""
+        """Make the environment for tests; with `options` its actions are the data's decisions."""
         ...
 
 
@@ -125,8 +125,8 @@ class OfflineSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
@@ -150,7 +150,7 @@ class OfflineSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
     batch_size: Annotated[int, Range(1)] = 256
@@ -163,7 +163,7 @@ class OfflineSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     passes: Annotated[int, Range(1)] = 50
     """Passes over the data, if `train` has no budget."""
     values: Literal["auto", "table", "network"] = "auto"

@@ -352,7 +352,7 @@ class FactoredModel:
                          most_nodes)
 
     def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return primitives of actions after each other, the last row from here, (actions + 1, actions); row after each."""
+        """Return primitives of actions after each other, the last row from here, (actions + 1, actions), and rows."""
         if self._durations is None:
             self._durations = fit_durations(self.list_durations(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))

@@ -129,7 +129,7 @@ def compile_action(learner: StructureLearner, packing: Packing, action: int, cho
 
 def _find_disputes(learner: StructureLearner, packing: Packing, action: int, chosen: NDArray[np.int64], outcome: int
                    ) -> Iterator[tuple[int, int]]:
-    """Patterns of states in which the first hypothesis and another one predict different outcomes."""
+    """Patterns of states where the first hypothesis and another one predict different outcomes."""
     samples = learner.get_samples(action, chosen, outcome)  # (hypotheses, contexts, own, values)
     says, speaks = np.asarray(samples.argmax(axis=-1)), np.asarray(samples.any(axis=-1))
     differ = (says[1:, None] != says[0][:, None]) & speaks[1:, None] & speaks[0][:, None]

@@ -19,7 +19,7 @@ from hrl_escape.agents.factored.search import ActionModel, ChooseHypotheses, Pac
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 
 GROWTH = 1.2
-"""Growth of an action's number of samples after which its trees are grown again."""
+"""Growth of an action's number of samples that makes its trees grow again."""
 
 
 def compute_information(counts: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -94,7 +94,7 @@ class TreeLearner(StructureLearner):
 
     Args:
         sizes: number of values of each factor, (factors,), all 2.
-        evidence: nats by which a split must raise the criterion.
+        evidence: smallest increase of the criterion for a split, nats.
     """
 
     def __init__(self, sizes: NDArray[np.int64], actions: int, evidence: float) -> None:
@@ -104,7 +104,7 @@ class TreeLearner(StructureLearner):
         self._literals: list[list[NDArray[np.bool_]]] = [[] for _ in range(actions)]
         self._results: list[list[NDArray[np.int64]]] = [[] for _ in range(actions)]
         self._due = [0] * actions
-        """Number of samples of each action at which its trees are grown again."""
+        """Number of samples of each action that makes its trees grow again."""
         self._leaves = [self._grow(action) for action in range(actions)]
 
     def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
@@ -189,7 +189,7 @@ class TreeLearner(StructureLearner):
         return self._leaves[action]
 
     def list_changes(self, action: int) -> NDArray[np.int64]:
-        """Return the leaves in which an action most often turns the tree's bit on or off."""
+        """Return the leaves where an action most often turns the tree's bit on or off."""
         leaves = self._leaves[action]
         rows = np.flatnonzero((leaves.outcomes >= 0) & (leaves.outcomes < self.over) & leaves.totals.any(axis=1))
         return rows[leaves.paths[rows, leaves.outcomes[rows]] != leaves.totals[rows].argmax(axis=1)]
@@ -208,7 +208,7 @@ def compile_trees(learner: TreeLearner, packing: Packing, action: int, choose: C
                   bonuses: Sequence[float], visits: int) -> ActionModel:
     """Return rules of the leaves where an action most often changes something, known from `visits` samples.
 
-    Arguments as in `compile_action`; there are no hypotheses and no gaps.
+    Arguments as in `compile_action`; without hypotheses and gaps.
     """
     leaves = learner.get_leaves(action)
     on, off = np.hsplit(leaves.paths.astype(np.int64), 2)

@@ -30,7 +30,7 @@ class LateTerminal(Stateful):
     def push(self, experience: Experience, batch: Decisions, settings: Any) -> list[tuple[Experience, int | None]]:
         """Store one decision and its backup, both as batches; return what to learn now.
 
-        The result has pairs of an experience and the action to bootstrap from; None if no action followed.
+        The result has pairs of an experience and the action to bootstrap from, or None if no action followed.
         """
         no, is_over = np.zeros(1, np.bool_), bool(batch.terminated[0] or batch.truncated[0])
         _, factor = compute_backup(batch._replace(terminated=no, truncated=no), settings)

@@ -29,7 +29,7 @@ HEADS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTransformerSettings(AgentSettings):
-    """Settings of `decision-transformer`: its size, the requested return, and those of every offline agent."""
+    """Settings of `decision-transformer`: its size, the requested return, and the settings of every offline agent."""
 
     bins: Annotated[int, Range(2)] = 11
     """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
@@ -43,8 +43,8 @@ class DecisionTransformerSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
@@ -68,7 +68,7 @@ class DecisionTransformerSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
     batch_size: Annotated[int, Range(1)] = 64
@@ -81,7 +81,7 @@ class DecisionTransformerSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     passes: Annotated[int, Range(1)] = 50
     """Passes over the data, if `train` has no budget."""
     values: Literal["auto", "table", "network"] = "auto"

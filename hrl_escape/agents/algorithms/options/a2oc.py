@@ -34,8 +34,8 @@ class A2OCSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     options: Annotated[int, Range(1)] = 4
@@ -75,8 +75,8 @@ class A2OCSettings(AgentSettings):
     """Cost of ending an option, in scaled return, paid on arrival, which makes it a margin of terminations. More makes
     options last longer."""
     termination_margin: Annotated[float, Range(0)] = 0.0
-    """Margin by which an option must be worse than the mean before its termination grows, in scaled return; not part of
-    values."""
+    """Margin in the comparison of an option with the mean: its termination only grows if it is worse by more, in scaled
+    return. Not part of values."""
 
 
 class GreedyHeads(OptionHeads):

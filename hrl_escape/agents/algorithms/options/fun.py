@@ -50,8 +50,8 @@ class FunSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
@@ -78,8 +78,8 @@ class FunSettings(AgentSettings):
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     horizon: Annotated[int, Range(1)] = 10
-    """c, number of decisions for which a direction is to be followed. Longer horizons make the manager more abstract; 1
-    removes the hierarchy."""
+    """c, number of decisions under one direction. Longer horizons make the manager more abstract; 1 removes the
+    hierarchy."""
     direction_units: Annotated[int, Range(1)] = 16
     """Size of the manager's latent state, and of a direction."""
     embedding_units: Annotated[int, Range(1)] = 8

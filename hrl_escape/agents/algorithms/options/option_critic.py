@@ -40,8 +40,8 @@ class OptionCriticSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     options: Annotated[int, Range(1)] = 4
@@ -67,8 +67,8 @@ class OptionCriticSettings(AgentSettings):
     """Cost of ending an option, in scaled return, paid in the value on arrival, which makes it a margin of
     terminations. More makes options last longer."""
     termination_margin: Annotated[float, Range(0)] = 0.0
-    """Margin by which an option must be worse than the mean before its termination grows, in scaled return; not part of
-    values."""
+    """Margin in the comparison of an option with the mean: its termination only grows if it is worse by more, in scaled
+    return. Not part of values."""
     multi_option: Annotated[float, Range(0, 1)] = 0.0
     """Share of each update that goes to every option, weighted by its probability to run and to choose the same; the
     rest goes to the option that ran. Above 0 this is MOC."""

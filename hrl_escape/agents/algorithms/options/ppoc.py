@@ -39,8 +39,8 @@ class PPOCSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     options: Annotated[int, Range(1)] = 2

@@ -1,7 +1,8 @@
-"""Covering options: edges that bring the two ends of the slowest walk together, one after another.
+"""Covering options: edges that connect the two ends of the slowest random walk, one after another.
 
 Jinnai, Park, Abel and Konidaris (2019). Each option leads from one end of the slowest direction of the state graph to
-the other; with it as an edge the graph is better connected, and the next is found. Q-learning explores with them.
+the other. With it as an edge the graph is better connected, and the next one is computed. Q-learning explores with
+them.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class CoveringOptionsSettings(AgentSettings):
-    """Edges that `covering-options` adds, and the share of exploration that runs their options."""
+    """Settings of `covering-options`: number of edges, and share of exploration with their options."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
@@ -35,8 +36,8 @@ class CoveringOptionsSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
@@ -44,7 +45,7 @@ class CoveringOptionsSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
@@ -75,11 +76,11 @@ class CoveringOptionsSettings(AgentSettings):
     most_states: Annotated[int, Range(2)] = 1_000
     """Number of states above which options are no longer updated, because eigenvectors take cubic time."""
     edges: Annotated[int, Range(1)] = 4
-    """Edges that are added, two options each: there and back."""
+    """Number of added edges, with two options each: there and back."""
 
 
 class CoveringDiscovery(GraphDiscovery):
-    """Finds edges in the graph of all states that are connected."""
+    """Computes edges in the graph of all connected states."""
 
     def __init__(self, settings: CoveringOptionsSettings) -> None:
         super().__init__(settings, 2 * settings.edges)
@@ -87,7 +88,7 @@ class CoveringDiscovery(GraphDiscovery):
 
     def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
              ) -> dict[int, TableSkill]:
-        """Both options of each edge, in order; the slowest direction is computed anew after each."""
+        """Return both options of each edge, in order; each edge changes the slowest direction for the next."""
         joined = adjacency.copy()
         found = {}
         for edge in range(self._edges):
@@ -100,10 +101,11 @@ class CoveringDiscovery(GraphDiscovery):
 
 
 class CoveringOptions(DiscoveringAgent):
-    """Q-learning that explores with options between the two ends of the slowest walk.
+    """Q-learning that explores with options between the two ends of the slowest random walk.
 
-    An option begins in the state of the least value of the slowest eigenvector and ends in that of the greatest, by the
-    fewest primitives; its twin goes back. Each pair raises the algebraic connectivity, which bounds the cover time.
+    An option begins in the state with the smallest value of the slowest eigenvector and ends in the state with the
+    largest, by the fewest primitives; a second option leads back. Each pair raises the algebraic connectivity, which
+    bounds the cover time.
     """
 
     settings: CoveringOptionsSettings

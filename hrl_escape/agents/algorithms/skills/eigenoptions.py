@@ -1,7 +1,7 @@
-"""Eigenoptions: options along the slow directions of the state graph, found without any reward.
+"""Eigenoptions: options along the slow directions of the state graph, computed without any reward.
 
-Machado, Bellemare and Bowling (2017); from the successor representation by Machado et al. (2018). Q-learning explores
-with them: an option to each end of each of the slowest directions of a random walk over the states met so far.
+Machado, Bellemare and Bowling (2017), and with the successor representation Machado et al. (2018). Q-learning explores
+with one option to each end of each of the slowest directions of a random walk over the visited states.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class EigenoptionsSettings(AgentSettings):
-    """Directions that `eigenoptions` follows, and where they come from."""
+    """Settings of `eigenoptions`: number of directions, and their source."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
@@ -38,8 +38,8 @@ class EigenoptionsSettings(AgentSettings):
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
     paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination, as in the paper's
-    agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
@@ -47,7 +47,7 @@ class EigenoptionsSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
@@ -78,16 +78,16 @@ class EigenoptionsSettings(AgentSettings):
     most_states: Annotated[int, Range(2)] = 1_000
     """Number of states above which options are no longer updated, because eigenvectors take cubic time."""
     directions: Annotated[int, Range(1)] = 8
-    """Slow directions that have options, two each: one along it, one against it."""
+    """Number of slow directions, with two options each: one in each direction. More reach more parts of the graph."""
     representation: Literal["random-walk", "normalised", "combinatorial", "successor"] = "random-walk"
-    """Source of the directions: a Laplacian of the graph of states, made symmetric, or the successor representation
-    of the uniform walk over the actions as they were seen to go."""
+    """Source of the directions: a Laplacian of the symmetrised state graph, or the successor representation of the
+    uniform random walk over observed transitions."""
     option_gamma: Annotated[float, Range(0, 1, open_high=True)] = 0.9
-    """Discount of an option's own reward, and of the successor representation."""
+    """Discount of an option's own reward, and of the successor representation. Higher values make options longer."""
 
 
 class EigenoptionDiscovery(GraphDiscovery):
-    """Finds the slow directions of all states that are connected."""
+    """Computes the slow directions of all connected states."""
 
     def __init__(self, settings: EigenoptionsSettings) -> None:
         super().__init__(settings, 2 * settings.directions)
@@ -95,7 +95,7 @@ class EigenoptionDiscovery(GraphDiscovery):
 
     def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
              ) -> dict[int, TableSkill]:
-        """Both options of each direction, the slowest first."""
+        """Return both options of each direction, the slowest first."""
         settings = self._settings
         count = min(settings.directions, len(states) - 1)
         if settings.representation == "successor":
@@ -118,7 +118,7 @@ class EigenoptionDiscovery(GraphDiscovery):
 
 
 def _make_uniform_walk(model: StateModel) -> NDArray[np.float64]:
-    """P of the uniform walk over known actions, (states, states); a state without any stays."""
+    """P of the uniform random walk over known actions, (states, states); states without any action stay."""
     states, actions = model.known.shape
     total = model.follow.toarray().reshape(states, actions, states).sum(axis=1)
     known = model.known.sum(axis=1)[:, None]
@@ -126,10 +126,10 @@ def _make_uniform_walk(model: StateModel) -> NDArray[np.float64]:
 
 
 class Eigenoptions(DiscoveringAgent):
-    """Q-learning that explores with options along the eigenvectors e of the slowest walk.
+    """Q-learning that explores with options along the eigenvectors e of the slowest random walk.
 
-    An option is paid e(s') - e(s) and is optimal for it at `option_gamma`, with one further action, to end, worth 0. It
-    ends where nothing more can be earned, and may begin everywhere else.
+    The reward of an option is e(s') - e(s), and the option is optimal for it at `option_gamma`, with an additional
+    action to end, worth 0. It ends where no more reward is possible, and can begin everywhere else.
     """
 
     settings: EigenoptionsSettings
