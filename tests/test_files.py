@@ -113,7 +113,7 @@ def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_
 
 def test_a_folder_in_the_way_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(FileWriteError, match=r"cannot write .*file/x\.json.*choose a folder"):
+    with pytest.raises(FileWriteError, match=r"cannot write .*file/x\.json.*choose a writable folder"):
         write_json(tmp_path / "file" / "x.json", 1)
     with pytest.raises(FileWriteError, match="cannot write"):
         write_bytes(tmp_path, b"x")

@@ -35,12 +35,12 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
     In one step the base moves straight until its first contact, in the direction of its heading half-way through the
     turn, and then turns on the spot. Joints stop at their limits. Under physics, Bullet moves everything at once. A
     touch counts if it exists at the end of the step. The hand acts last, with the effect of the primitive of that name;
-    a value that is held acts again in each step. If things can be pushed, the base pushes a thing in its way from the
-    place of contact to the nearest of the map's four sides. If that does not free the way, nothing moves.
+    a value that is held acts again in each step. If things can be pushed, the base pushes a thing in its way
+    like a move in the nearest of the map's four directions. If that does not free the way, nothing moves.
 
     ## Rewards
-    The cost of a primitive (`reward.step`, -1 by default) is charged per second: a step costs `time_step` of
-    it. Puzzles and the exit pay the same amounts as in `EscapeRoomEnv`, and an act of the hand its full amount. If the
+    The cost of a primitive (`reward.step`, -1 by default) is charged per second: a step costs `time_step` of it.
+    Puzzles and the exit pay the same amounts as in `EscapeRoomEnv`, and an act of the hand its full amount. If the
     reward of the exit replaces that of the step, the difference in cost between a primitive and a step is added.
 
     ## Episode end

@@ -327,8 +327,8 @@ class Kinematics(Rules):
         The base moves straight until its first contact, then turns on the spot if the turn is free. Joints stop at
         their limits. The hand acts last. Noise and slips apply as to a primitive; a motion that slips has no effect.
 
-        If a thing that can be pushed stops the base, a move of one stride from the place of contact to the nearest of
-        the map's four sides pushes it, provided that the base then reaches its destination.
+        If a thing that can be pushed stops the base, it is pushed as by a move of one stride in the nearest of the
+        map's four directions, provided that the base then reaches its destination.
         """
         scale, grip = 1.0, motion.grip
         if self._noise or self._slip:

@@ -210,15 +210,15 @@ def test_last_link_is_the_hand_unless_one_is_named():
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"hand_link": "claw"}, "no link 'claw' in the URDF; its links are mobile-base, base, turned"),
+    ({"hand_link": "claw"}, "no link 'claw' in the URDF; valid are mobile-base, base, turned"),
     ({"joints": 5, "hand_link": "tool"}, "robot.joints = 5: only 4 joints move 'tool'"),
     ({"urdf": "not XML"}, "not XML"),
     ({"urdf": "<sdf/>"}, "not a URDF"),
-    ({"urdf": USER_URDF.replace("</robot>", '<link name="x"/></robot>')}, "one root link, not ['base', 'x']"),
+    ({"urdf": USER_URDF.replace("</robot>", '<link name="x"/></robot>')}, "one root link, got ['base', 'x']"),
     ({"urdf": USER_URDF.replace('parent link="base"', 'parent link="y"')}, "no joints lead from the URDF's root link"),
     ({"urdf": USER_URDF.replace('"base"', f'"{BASE_LINK}"')}, "rename it"),
-    ({"urdf": USER_URDF.replace("1 2 2", "0 0 0")}, "joint 'a' of the URDF moves about the axis 0 0 0"),
-    ({"urdf": USER_URDF.replace("1 2 2", "1 2")}, "joint 'a' of the URDF has '1 2' where 3 numbers belong"),
+    ({"urdf": USER_URDF.replace("1 2 2", "0 0 0")}, "joint 'a' of the URDF has the axis 0 0 0"),
+    ({"urdf": USER_URDF.replace("1 2 2", "1 2")}, "joint 'a' of the URDF has '1 2', expected 3 finite numbers"),
     ({"urdf": USER_URDF.replace('lower="-1" upper="2"', 'lower="3" upper="2"')}, "lower limit 3 is above upper 2"),
     ({"urdf": USER_URDF.replace("continuous", "floating")}, "joint 'b' of the URDF is 'floating'; valid are fixed"),
 ])

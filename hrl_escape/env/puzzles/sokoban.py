@@ -329,7 +329,7 @@ def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]
     """Return the pushes of a solution with the fewest moves, walks included, or None if there is none.
 
     `player` and `boxes` give the current cells. A* uses the fewest pushes of single boxes, each to its own goal, as
-    lower bound. Boxes never enter cells that no push leads out of to a goal. After 10,000 states the search continues
+    lower bound. Boxes never enter dead cells, which have no way to a goal. After 10,000 states the search continues
     greedily, and fewer moves may exist; after 300,000 it stops and returns None.
     """
     level, pushes = _get_map(rows)
