@@ -108,7 +108,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     Raises:
         UnknownNameError: no such level.
-        UnsupportedError: there is no room, or there are other options below.
+        UnsupportedError: `env` has no room, or other options below.
     """
 
     env: Any
@@ -163,7 +163,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return step
 
     def begin(self, call: ToolCall) -> Turn | None:
-        """Begin a call, which may be any value.
+        """Begin a call; `call` can be any value.
 
         Returns:
             The answer if the call takes no primitives. Otherwise None, and `action` is the action to step with.
@@ -281,7 +281,6 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- words ---------------------------------------------------------------------------
 
     def _make_tools(self) -> list[dict[str, Any]]:
-        """JSON Schemas of the tools."""
         option = {"type": "string", "enum": list(self._actions)}
         tools = [_make_tool("run_option", "Carry out an option to its end.", option=option),
                  _make_tool("look", "Describe the room; free.")]
@@ -414,7 +413,7 @@ class RoomSession:
 
     Raises:
         UnknownNameError: no such level.
-        UnsupportedError: there is no room.
+        UnsupportedError: `env` has no room.
     """
 
     def __init__(self, env: gymnasium.Env, reveal: Level = "places") -> None:

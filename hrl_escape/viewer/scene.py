@@ -478,7 +478,7 @@ def compute_overview(instance: RoomInstance, aspect: float = 1.6) -> tuple[_Poin
 def _add_lights(scene: viser.SceneApi) -> None:
     """Add ambient light, which makes colours equal on every side, and a sun, which shows shapes.
 
-    An environment map would load late and fade in whenever a recorded page starts again.
+    An environment map would load late and fade in at every start of a recorded page.
     """
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(hdri=None)

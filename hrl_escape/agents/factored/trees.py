@@ -123,7 +123,6 @@ class TreeLearner(StructureLearner):
             self._measure(action, leaves, find_falls(literals[None], leaves.paths)[0].nonzero()[0], literals)
 
     def _grow(self, action: int) -> Leaves:
-        """Trees of an action from all of its samples."""
         count, width = len(self._results[action]), 2 * self._factors
         self._due[action] = int(np.ceil(count * GROWTH)) + 1
         literals = np.array(self._literals[action], np.bool_).reshape(count, width)

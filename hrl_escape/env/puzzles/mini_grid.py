@@ -380,7 +380,6 @@ def draw_key_corridor(size: int, rows: int, rng: np.random.Generator) -> tuple[s
 
 
 def _find_connected(room: tuple[int, int], links: set[frozenset[tuple[int, int]]]) -> set[tuple[int, int]]:
-    """Rooms that links connect to a room."""
     found = {room}
     while more := set(itertools.chain(*(link for link in links if link & found))) - found:
         found |= more

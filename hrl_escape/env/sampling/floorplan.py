@@ -126,7 +126,6 @@ def compute_cell(config: RoomConfig, cell: int) -> tuple[float, float]:
 
 
 def _build_walls(config: RoomConfig) -> list[Solid]:
-    """Make the explicit walls, with the thickness of all walls."""
     half, solids = config.room.wall_thickness / 2, []
     for wall in config.room.walls:
         along = math.hypot(wall.to_x - wall.x, wall.to_y - wall.y) / 2

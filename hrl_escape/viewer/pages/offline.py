@@ -140,7 +140,7 @@ def _write_camera(position: tuple[float, ...], target: tuple[float, ...]) -> str
 
 
 def _describe_end(recording: EpisodeRecording) -> str:
-    """How the episode ended; for an escape also its distance from the best known one."""
+    """Text about the end of the episode; for an escape also its distance from the best known one."""
     if recording.end is not EpisodeEnd.ESCAPED:
         return recording.end.words
     try:

@@ -39,7 +39,7 @@ class RoomPage:
 
     Attributes:
         scene: scene of the current room.
-        best: best known return of this room; None until it is found.
+        best: best known return of this room, or None before it is found.
     """
 
     def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False,

@@ -112,7 +112,7 @@ def carry_out(command: Command, episode: Episode, folder: Path, best: float | No
     Episodes are saved in `folder`. `best` is the best known return of the room, or None while it is unknown.
 
     Raises:
-        UnsupportedError: there is no next room.
+        UnsupportedError: the room comes from a file and has no next room.
         FileWriteError: the episode, or the personal best, could not be saved.
     """
     if command.verb == "act":

@@ -182,7 +182,7 @@ class Episode:
     def enter_next_room(self) -> None:
         """Enter the configuration's next room. Raises `UnsupportedError` for a room from a file."""
         if self.config is None or self.instance.seed is None:
-            raise UnsupportedError("there is no next room: this one was loaded from a file, without its configuration")
+            raise UnsupportedError("this room was loaded from a file without its configuration, and has no next room")
         following = generate(self.config, self.instance.seed + 1)
         self._env.close()
         self._open(following)
