@@ -166,8 +166,8 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     ("[" * 10**6 + "]" * 10**6, "nested more than 100 levels deep"),
     ('{"a":' * 150 + "1" + "}" * 150, "nested more than 100 levels deep"),
     ("7" * 5_000, "a number of thousands of digits"),
-    ('{"a": NaN}', "NaN is no number"),
-    ("[-Infinity]", "-Infinity is no number"),
+    ('{"a": NaN}', "NaN is not a JSON number"),
+    ("[-Infinity]", "-Infinity is not a JSON number"),
 ])
 def test_extreme_json_is_refused_in_words(tmp_path, text, words):
     (tmp_path / "x.json").write_text(text)
