@@ -1,7 +1,7 @@
 """hrl_escape: escape rooms for hierarchical reinforcement learning.
 
-Importing this package registers the environments with Gymnasium and loads nothing heavy;
-the names below are fetched from their modules when first used.
+Importing this package registers the environments with Gymnasium and loads only light modules. The names below are
+imported from their modules at first use.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from hrl_escape.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-_DOORS: dict[str, tuple[str, str]] = {  # suffix of the id: (one room, many rooms at once)
+_DOORS: dict[str, tuple[str, str]] = {  # suffix of the id: (entry point for one room, entry point for many)
     "": ("hrl_escape.env.escape_room:EscapeRoomEnv", "hrl_escape.env.vector_env:EscapeRoomVectorEnv"),
     "Options": ("hrl_escape.options.options_env:make_options_env",
                 "hrl_escape.options.batched.vector_env:OptionsVectorEnv"),

@@ -1,11 +1,11 @@
-"""The command line `hrl-escape`: finds the commands in `hrl_escape/commands` and runs the one that is asked for.
+"""The command line `hrl-escape`: finds the commands in `hrl_escape/commands` and runs the requested one.
 
-A command is a function of a module there, `run` for the module's own name or `run_NAME`, and a folder is a group of
-commands. `run_script` gives a single module, such as a benchmark, the same front.
+A command is a function of a module there: `run` for the module's own name, or `run_NAME`. A folder is a group of
+commands. `run_script` gives a single module, such as a benchmark, the same interface.
 
-Help is read from the files without importing them, and only the command that runs is
-imported: help is quick, and a missing optional package stops no other command. What the
-user did wrong is one line on stderr and exit code 2, never a traceback.
+Help is read from the files without importing them, and only the requested command is imported. Help is therefore fast,
+and a missing optional package affects only the commands that need it. Mistakes of the user are reported in one line on
+stderr with exit code 2, without a traceback.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ _RUNS = re.compile(r"^def (run(?:_\w+)?)\(args", re.MULTILINE)
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, by default this process's, and return the exit code.
 
-    It is 0 for success, 2 for a mistake of the user's or output that cannot be written, 128 and the signal's number if
-    a signal or a closed pipe ended it.
+    The code is 0 for success, 2 for a mistake of the user or output that cannot be written, and 128 plus the signal's
+    number if a signal or a closed pipe ended the command.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     return run_in_order(_PROGRAM, lambda: _run(words, _FOLDER, _COMMANDS, [_PROGRAM]))
 
 
 def run_script(run: Callable[..., int | None], arguments: Sequence[str] | None = None) -> int:
-    """Run a module's `run` as `python -m MODULE`: its options, help and errors are made as those of `hrl-escape` are.
+    """Run a module's `run` as `python -m MODULE`, with the options, help and errors of `hrl-escape`.
 
-    It takes one dataclass of options; its module's docstring is the help. Returns the exit code, as `main`.
+    `run` takes one dataclass of options; the docstring of its module is the help. Returns the exit code, like `main`.
     """
     spec = sys.modules[run.__module__].__spec__
     words = ["python", "-m", spec.name if spec else run.__module__]
@@ -59,7 +59,7 @@ def run_script(run: Callable[..., int | None], arguments: Sequence[str] | None =
 
 
 def run_in_order(program: str, work: Callable[[], int]) -> int:
-    """Exit code of the work; what stops it is said in one line."""
+    """Run the work and return its exit code; report in one line what stops it."""
     try:
         with _raising_signals():
             _check_threads()
@@ -71,7 +71,7 @@ def run_in_order(program: str, work: Callable[[], int]) -> int:
         return _report(program, f"ended by {signal.Signals(ended.number).name}", 128 + ended.number)
     except KeyboardInterrupt as stop:
         return _report(program, str(stop) or "interrupted", 128 + signal.SIGINT)
-    except BrokenPipeError:  # whoever read our output has seen enough
+    except BrokenPipeError:  # the reader of our output has closed it
         _drop_output()
         return 128 + signal.SIGPIPE
     except EscapeError as error:
@@ -83,15 +83,15 @@ def run_in_order(program: str, work: Callable[[], int]) -> int:
             raise
         _drop_output()
         return _report(program, f"cannot write the output: {error.strerror}", 2)
-    except SystemExit as exit_:  # tyro has printed help, or what is wrong with the arguments
-        if isinstance(exit_.__context__, BrokenPipeError):  # rich's answer to a closed pipe
+    except SystemExit as exit_:  # tyro has printed help, or an error in the arguments
+        if isinstance(exit_.__context__, BrokenPipeError):  # rich exits this way after a closed pipe
             return 128 + signal.SIGPIPE
         return exit_.code if isinstance(exit_.code, int) else 0 if exit_.code is None else 2
 
 
 @contextmanager
 def _raising_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP unwind the program as Ctrl-C does, so that folders and processes are left in order."""
+    """Make SIGTERM and SIGHUP unwind the program as Ctrl-C does, which cleans up folders and processes."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -106,19 +106,19 @@ def _raising_signals() -> Iterator[None]:
 
 
 def _check_threads() -> None:
-    """Refuse a NUMBA_NUM_THREADS at which numba fails to import."""
+    """Refuse values of NUMBA_NUM_THREADS that make numba's import fail."""
     threads = os.environ.get("NUMBA_NUM_THREADS", "1")
     if re.fullmatch("0*[1-9][0-9]{0,3}", threads) is None:
-        raise ConfigError("NUMBA_NUM_THREADS", threads, "a whole number from 1 to 9999, or leave it unset")
+        raise ConfigError("NUMBA_NUM_THREADS", threads, "a whole number from 1 to 9999, or unset")
 
 
 def _drop_output() -> None:
-    """Discard output that cannot be written, which Python would try to write once more at its end."""
+    """Discard output that cannot be written; Python would otherwise try again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _report(program: str, message: str, code: int) -> int:
-    """Say in one line why the program ends; returns the exit code."""
+    """Print in one line why the program ends; return the exit code."""
     print(f"{program}: {message}", file=sys.stderr)
     return code
 
@@ -142,7 +142,7 @@ def _run(arguments: list[str], folder: Path, package: str, words: list[str]) -> 
 
 
 def _run_command(run: Callable[..., int | None], arguments: list[str], words: list[str]) -> int:
-    import tyro  # not for `hrl-escape --help`
+    import tyro  # imported here because `hrl-escape --help` does not need it
 
     args_type = typing.get_type_hints(run)["args"]
     if hasattr(args_type, "check_words"):
@@ -154,7 +154,7 @@ def _run_command(run: Callable[..., int | None], arguments: list[str], words: li
 
 
 def find_commands(folder: Path) -> dict[str, tuple[Path, str]]:
-    """Commands and groups in a folder by name: the module and function of each, or a group's folder and no function."""
+    """Return commands and groups in a folder by name: (module, function) of a command, (folder, "") of a group."""
     found = {}
     for path in folder.iterdir():
         if (path / "__init__.py").is_file():

@@ -1,7 +1,7 @@
-"""`Clock`: the optional limit on the time of one call, and the way to cancel it from another thread.
+"""`Clock`: optional time limit of one call, with cancellation from another thread.
 
-Budgets decide by default, so that results do not depend on the machine. A clock, where one is asked
-for, holds over the whole call; the compilation of kernels does not count.
+By default calls are limited by budgets, which keeps results independent of the machine. A clock limits the whole call,
+without the compilation of kernels.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from hrl_escape.errors import ConfigError, PlanningReason
 from hrl_escape.kernels import read_clock
 
 
-class OutOfTime(Exception):  # noqa: N818  # a signal between parts of one call, not a defect
+class OutOfTime(Exception):  # noqa: N818  # a signal within one call, not a defect
     """The clock of a call has run out."""
 
 
 class Clock:
-    """Time limit of one call, from its construction on.
+    """Time limit of one call, from the construction of the clock.
 
     Args:
-        seconds: the limit; None for none.
-        stop: event that ends the call once another thread sets it.
+        seconds: the limit; by default none.
+        stop: event that another thread sets to end the call.
 
     Raises:
-        ConfigError: the limit is no number, or negative.
+        ConfigError: the limit is negative or not a number.
     """
 
     def __init__(self, seconds: float | None = None, stop: threading.Event | None = None) -> None:
@@ -37,19 +37,19 @@ class Clock:
         self.has_stopped = False
 
     def is_up(self) -> bool:
-        """Return whether the call must end, and note in `has_stopped` that it was cut short."""
+        """Return whether the call must end, and record it in `has_stopped`."""
         if self.is_cancelled or (self._end < math.inf and read_clock() >= self._end):
             self.has_stopped = True
         return self.has_stopped
 
     @property
     def is_cancelled(self) -> bool:
-        """Another thread has cancelled the call."""
+        """True if another thread has cancelled the call."""
         return self._stop is not None and self._stop.is_set()
 
     @property
     def reason(self) -> PlanningReason:
-        """Reason of a failure for which this clock is to blame."""
+        """Reason of a failure that this clock caused."""
         return PlanningReason.CANCELLED if self.is_cancelled else PlanningReason.TIMEOUT
 
     def check(self) -> None:

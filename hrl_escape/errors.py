@@ -1,7 +1,7 @@
-"""Exceptions of hrl_escape, one class a cause.
+"""Exceptions of hrl_escape, one class per cause.
 
-Each message names the mistake, its place, and what would be valid. All derive from
-`EscapeError`, so that one `except` catches everything this package raises on purpose.
+Each message names the mistake, its place, and the valid values. All classes derive from `EscapeError`, and one `except`
+catches every error that this package raises on purpose.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from typing_extensions import Self
 
 
 class EscapeError(Exception):
-    """Base of every error that hrl_escape raises on purpose; a worker's errors reach the parent process whole."""
+    """Base class of errors that hrl_escape raises on purpose. Errors of workers reach the parent process intact."""
 
     def __new__(cls, *given: Any, **named: Any) -> Self:
-        """Keep the arguments, of which a copy in another process is made."""
+        """Keep the arguments, which copies in other processes are made from."""
         made: Any = super().__new__(cls, *given)
         made._given = given, named
         return made
@@ -37,15 +37,15 @@ _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 12
 
 
 def show_value(value: object) -> str:
-    """Value as Python writes it, cut where it is long."""
+    """Return the value as Python writes it, shortened if it is long."""
     try:
         return _SHORT.repr(value)
-    except ValueError:  # a whole number of more digits than Python writes
+    except ValueError:  # an integer with more digits than Python converts
         return "a number of thousands of digits"
 
 
 def name_install(extra: str) -> str:
-    """Command that installs an extra: from a checkout, for no package is published."""
+    """Return the command that installs an extra from a checkout, because the package is not published."""
     return f"pip install -c constraints.txt '.[{extra}]' in a checkout of hrl-escape"
 
 
@@ -53,12 +53,12 @@ def name_install(extra: str) -> str:
 
 
 class ConfigError(EscapeError, ValueError):
-    """A value in a room configuration is impossible.
+    """A value in a room configuration is not valid.
 
     Attributes:
         field: dotted path of the field, such as `robot.body_radius`.
-        value: the offending value.
-        allowed: what would have been valid, in words.
+        value: the invalid value.
+        allowed: valid values, in words.
     """
 
     def __init__(self, field: str, value: object, allowed: str) -> None:
@@ -67,11 +67,11 @@ class ConfigError(EscapeError, ValueError):
 
 
 class GenerationError(EscapeError, RuntimeError):
-    """No solvable room was found for a room configuration within the bounded number of tries.
+    """Sampling found no solvable room for a room configuration within its number of tries.
 
     Attributes:
         constraint: the constraint that failed last.
-        tries: how many rooms were sampled.
+        tries: number of sampled rooms.
     """
 
     def __init__(self, constraint: str, tries: int, advice: str) -> None:
@@ -80,15 +80,15 @@ class GenerationError(EscapeError, RuntimeError):
 
 
 class InstanceFileError(EscapeError, ValueError):
-    """A file does not hold a room instance this version can read."""
+    """A file is not a room instance that this version can read."""
 
 
 class RobotError(EscapeError, ValueError):
-    """A robot's URDF is missing, unreadable, or lacks what the room needs of it."""
+    """A robot's URDF is missing, unreadable, or incomplete."""
 
 
 class UnknownNameError(EscapeError, KeyError):
-    """A name is unknown; the message gives the closest known name, then all, and a note where there is more to say."""
+    """A name is unknown. The message gives the closest known name, all known names, and a note if there is one."""
 
     def __init__(self, what: str, name: object, known: Iterable[str], note: str = "", closest: str | None = None
                  ) -> None:
@@ -114,23 +114,23 @@ class ActionError(EscapeError, ValueError):
 
 
 class ResetNeededError(EscapeError, RuntimeError):
-    """`step` was called before the first `reset`, or after an episode ended."""
+    """`step` was called before the first `reset`, or after the end of an episode."""
 
 
 class StateError(EscapeError, ValueError):
-    """A state does not belong to this room."""
+    """A state is not possible in this room."""
 
 
 class ClosedError(EscapeError, RuntimeError):
-    """The room was closed and can no longer be used."""
+    """The room is closed and cannot be used any more."""
 
 
 class UnsupportedError(EscapeError, ValueError):
-    """Two valid settings do not go together; the message names what to use instead."""
+    """Two valid settings do not work together. The message names an alternative."""
 
 
 class MissingExtraError(EscapeError, ImportError):
-    """An optional package is not installed; the message names the extra that brings it."""
+    """An optional package is not installed. The message names the extra that installs it."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         self.package, self.extra, self.purpose = package, extra, purpose
@@ -138,7 +138,7 @@ class MissingExtraError(EscapeError, ImportError):
 
 
 class MissingPackageError(EscapeError, ImportError):
-    """A package of the default installation is missing or cannot be loaded; rooms step without it."""
+    """A package of the default installation is missing or fails to load. Stepping rooms does not require it."""
 
     def __init__(self, package: str, purpose: str, reason: ImportError) -> None:
         self.package, self.purpose = package, purpose
@@ -147,15 +147,15 @@ class MissingPackageError(EscapeError, ImportError):
 
 
 class FileWriteError(EscapeError, OSError):
-    """A file could not be written (full disk, unwritable folder); nothing was half written."""
+    """A file could not be written (full disk, unwritable folder). The old file, if any, is unchanged."""
 
 
 class FileReadError(EscapeError, OSError):
-    """A file is missing, truncated or of another kind than its name says."""
+    """A file is missing, truncated or of the wrong kind."""
 
 
 class OldFormatError(FileReadError):
-    """A file is of version 0.3; the message names the command that converts it."""
+    """A file was written by version 0.3. The message names the command that converts it."""
 
     def __init__(self, path: object, what: str) -> None:
         self.message = (f"{path}: this {what} is of version 0.3. `hrl-escape convert {path}` writes it in the form of "
@@ -163,20 +163,20 @@ class OldFormatError(FileReadError):
         super().__init__(self.message)
 
     def __str__(self) -> str:
-        return self.message  # an OSError of two arguments would show a number and a text
+        return self.message  # the default of OSError would show a number and a text
 
 
 class PluginError(EscapeError, ImportError):
-    """An entry point of an installed package cannot be loaded."""
+    """An entry point of an installed package fails to load."""
 
 
 class ContractError(EscapeError, AssertionError):
-    """A check found that an implementation breaks its interface's contract.
+    """A check found that an implementation violates its interface.
 
     Attributes:
         what: the implementation that was checked.
-        claim: what must hold.
-        seen: what was found instead.
+        claim: the property that must hold.
+        seen: the observed behaviour.
     """
 
     def __init__(self, what: str, claim: str, seen: str) -> None:
@@ -188,24 +188,24 @@ class ContractError(EscapeError, AssertionError):
 
 
 class AgentSettingsError(ConfigError):
-    """A setting of an agent or of a training run is impossible."""
+    """A setting of an agent or of a training run is not valid."""
 
 
 class UnsupportedSpaceError(EscapeError, ValueError):
-    """An agent does not support this observation or action space; the message names those it supports."""
+    """An agent does not support this observation or action space. The message names the supported ones."""
 
 
 class StepContractError(EscapeError, ValueError):
-    """An environment's `step` or `reset` breaks the SMDP contract of `info`."""
+    """An environment's `step` or `reset` violates the SMDP contract of `info`."""
 
 
 class DiscountMismatchError(EscapeError, ValueError):
-    """The environment discounts by another gamma than the agent learns with.
+    """The environment discounts with another gamma than the agent.
 
     Attributes:
         agent_gamma: the agent's discount per primitive.
-        env_discount: `info["discount"]` as given.
-        duration: primitives in that step.
+        env_discount: value of `info["discount"]`.
+        duration: number of primitives in that step.
     """
 
     def __init__(self, agent_gamma: float, env_discount: float, duration: int) -> None:
@@ -219,15 +219,15 @@ class DiscountMismatchError(EscapeError, ValueError):
 
 
 class DivergenceError(EscapeError, ArithmeticError):
-    """A loss or its gradient became NaN or infinite, so that the agent cannot go on learning.
+    """A loss or its gradient became NaN or infinite, and training cannot continue.
 
     Attributes:
-        agent: the algorithm's name.
-        updates: gradient steps made before it happened.
-        run: which run, once known.
-        primitives: primitives trained for, once known.
+        agent: name of the algorithm.
+        updates: number of gradient steps before it happened.
+        run: name of the run, if known.
+        primitives: number of training primitives before it happened, if known.
         loss: the loss.
-        gradient_norm: Euclidean norm of its gradient; None where the loss itself is not finite.
+        gradient_norm: Euclidean norm of the gradient, or None if the loss itself is not finite.
     """
 
     def __init__(self, agent: str, updates: int, run: str = "", primitives: int | None = None,
@@ -245,7 +245,7 @@ class DivergenceError(EscapeError, ArithmeticError):
 
 
 class TrustError(EscapeError, ValueError):
-    """A run's folder, or a submission, names code that is neither this package's nor registered; nothing was run.
+    """A run's folder, or a submission, refers to code outside this package and its plugins. That code was not run.
 
     Attributes:
         names: what would be imported, each as `module:name`, or started.
@@ -260,33 +260,33 @@ class TrustError(EscapeError, ValueError):
 
 
 class CheckpointError(FileReadError):
-    """A checkpoint or log of a run is damaged, or was written by something else."""
+    """A checkpoint or log of a run is damaged, or was written by other software."""
 
 
 def describe_damage(error: Exception) -> str:
-    """Reason in words for an error that reading damaged content has raised."""
+    """Return the reason for an error from reading damaged content, in words."""
     if isinstance(error, KeyError) and not isinstance(error, EscapeError):
         return f"{show_value(error.args[0] if error.args else '')} is missing"
     return str(error)[:300] or type(error).__name__
 
 
 class RunMismatchError(EscapeError, ValueError):
-    """A run's folder holds another run; the message names what differs."""
+    """A run's folder contains another run. The message names the differences."""
 
 
 class RunBusyError(EscapeError, RuntimeError):
-    """Another process is training into the same folder."""
+    """Another process is training in the same folder."""
 
 
 # --- options and planners --------------------------------------------------------------
 
 
 class GoalError(EscapeError, ValueError):
-    """A planner was asked to reach something that is no goal; the message shows how goals are written."""
+    """The goal of a planning request is not valid. The message shows the syntax of goals."""
 
 
 class OptionError(EscapeError, ValueError):
-    """An option, or a set of options, is impossible; the message says why."""
+    """An option, or a set of options, is not valid. The message gives the reason."""
 
 
 class PathPlannerError(EscapeError, RuntimeError):
@@ -294,7 +294,7 @@ class PathPlannerError(EscapeError, RuntimeError):
 
 
 class PlanningReason(str, enum.Enum):
-    """Reasons for which planning fails, complete."""
+    """All reasons for a failed plan."""
 
     START_INVALID = "start invalid"
     GOAL_INVALID = "goal invalid"
@@ -311,14 +311,14 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
     """A planner found no plan.
 
     Attributes:
-        reason: why, one of `PlanningReason`.
-        goal: what was asked for, in words.
-        start: pose (x, y, heading) it was asked from, m and rad.
-        seconds: wall time spent.
-        planners: the planners that were tried, in order.
-        nearest: what came closest, in words; empty where nothing is known.
-        advice: what to do about it.
-        expansions: search nodes expanded in vain.
+        reason: one of `PlanningReason`.
+        goal: the requested goal, in words.
+        start: start pose (x, y, heading), m and rad.
+        seconds: wall time of the attempt.
+        planners: planners that were tried, in order.
+        nearest: the closest result, in words; empty if unknown.
+        advice: what the caller can do.
+        expansions: number of expanded search nodes.
     """
 
     def __init__(
@@ -347,12 +347,12 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
 
 
 class BatchError(EscapeError, ValueError):
-    """A tensor given to the batched engine has another shape, dtype or device than the batch.
+    """A tensor passed to the batched engine has the wrong shape, dtype or device.
 
     Attributes:
-        name: which argument.
-        given: what it was, in words.
-        allowed: what would have been valid.
+        name: name of the argument.
+        given: shape, dtype and device of the tensor, in words.
+        allowed: valid tensors, in words.
     """
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
@@ -367,7 +367,7 @@ class BatchError(EscapeError, ValueError):
 
 
 class GridError(EscapeError, ValueError):
-    """A grid is impossible: it has nothing to run, names something twice, or cannot be read."""
+    """A grid is not valid: it is empty, names something twice, or cannot be read."""
 
 
 class ComparisonError(EscapeError, RuntimeError):
@@ -378,15 +378,15 @@ class ComparisonError(EscapeError, RuntimeError):
 
 
 class VerificationError(EscapeError, ValueError):
-    """Something is not what was published: a root or a set of a benchmark's rooms, or the content of a recording."""
+    """Content differs from its published hash: the rooms of a benchmark, or a recording."""
 
 
 # --- the viewer ------------------------------------------------------------------------
 
 
 class AddressError(EscapeError, OSError):
-    """The viewer cannot listen on an address: its port is taken, or it is not this machine's."""
+    """The viewer cannot listen on an address: its port is in use, or it belongs to another machine."""
 
 
 class EpisodeFileError(EscapeError, ValueError):
-    """A file holds no recorded episode, or one whose replay differs from its record."""
+    """A file is not a recorded episode, or its replay differs from the record."""

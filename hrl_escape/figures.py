@@ -1,6 +1,6 @@
-"""Figures: their style, their files, and values that show themselves as one in a notebook.
+"""Figures: their style, their files, and values that notebooks display as figures.
 
-Nothing here loads matplotlib before a figure is written, so the endings of files can be checked first.
+This module does not load matplotlib before it writes a figure, which allows checks of file names first.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 FORMATS = ("png", "svg", "pdf")
 VIDEO_FORMATS = ("gif", "mp4")
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colours of lines: those of Okabe and Ito (2008), which people with any colour vision can tell apart."""
+"""Line colours of Okabe and Ito (2008), which are distinguishable with any colour vision."""
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "svg.hashsalt": "hrl-escape", "svg.fonttype": "path",
-                         "text.parse_math": False}  # a name may hold a dollar
-"""Settings of matplotlib in which figures are drawn and written."""
+                          "text.parse_math": False}  # names may contain a dollar sign
+"""Settings of matplotlib for all figures."""
 _UNDATED = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 
 class Pictured:
-    """Base of values that show themselves as a figure in a notebook.
+    """Base class of values that notebooks display as figures.
 
-    What is drawn must not know what draws it, so the function is named by its place: `module:function`, from the value
-    to a matplotlib figure.
+    The value must not import the code that draws it. The function is therefore given by its place, `module:function`,
+    and maps the value to a matplotlib figure.
     """
 
     _picture: ClassVar[str]
@@ -42,20 +42,20 @@ class Pictured:
 
 
 def check_picture_name(path: Path, *others: str) -> None:
-    """Check that the ending of a file that is to hold a map is one of `FORMATS`, or of the others."""
+    """Check that the name of a picture file ends in one of `FORMATS`, or one of `others`."""
     _get_ending(path, *FORMATS, *others)
 
 
 @cache
 def get_figure_class() -> type[Figure]:
-    """Class of matplotlib figures that a notebook shows without a plotting backend."""
+    """Return a class of matplotlib figures that notebooks display without a plotting backend."""
     from matplotlib.figure import Figure
 
     return type("ShownFigure", (Figure,), {"_repr_svg_": make_svg})
 
 
 def save_figure(path: str | Path, figure: Figure) -> None:
-    """Write a figure atomically, without date, in one of `FORMATS`: the same figure gives the same bytes."""
+    """Write a figure atomically, in one of `FORMATS` and without a date: equal figures give equal bytes."""
     write_bytes(path, _render(figure, _get_ending(Path(path), *FORMATS)))
 
 
@@ -70,7 +70,7 @@ def _render(figure: Figure, kind: str) -> bytes:
 
     content, shown = io.BytesIO(), figure.canvas
     try:
-        with matplotlib.rc_context(STYLE):  # `savefig` would draw it once more before, for the layout alone
+        with matplotlib.rc_context(STYLE):  # `savefig` would draw the figure a second time for its layout
             canvas: Any = get_registered_canvas_class(kind)(figure)
             getattr(canvas, f"print_{kind}")(content, metadata=_UNDATED[kind])
     finally:
@@ -81,5 +81,5 @@ def _render(figure: Figure, kind: str) -> bytes:
 def _get_ending(path: Path, *endings: str) -> str:
     kind = path.suffix.lower().lstrip(".")
     if kind not in endings:
-        raise UnsupportedError(f"{path}: a picture's name must end in {', '.join(f'.{each}' for each in endings)}")
+        raise UnsupportedError(f"{path}: the name of a picture must end in {', '.join(f'.{each}' for each in endings)}")
     return kind

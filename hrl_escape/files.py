@@ -1,8 +1,8 @@
-"""Atomic writes, and bounded reads that name the fault.
+"""Atomic writes, and bounded reads with precise errors.
 
-A write goes to a temporary file in the same folder, is flushed to disk, and then renamed
-over the target, which POSIX makes atomic: a process killed at any moment leaves the old
-file or the new one, never a half. A read takes plain files up to a size. Nothing here pickles.
+A write goes to a temporary file in the same folder, is flushed to disk, and then renamed over the target, which POSIX
+makes atomic: a process that is killed leaves either the old file or the new one. A read accepts plain files up to a
+size. This module never unpickles.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from hrl_escape.errors import FileReadError, FileWriteError
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib  # type: ignore[import-not-found]  # a dependency there
+    import tomli as tomllib  # type: ignore[import-not-found]  # a dependency on Python 3.10
 
 TEMPORARY_PREFIX = ".writing-"
 LARGEST_FILE = 2**28
-"""Bytes of the largest file that is read whole, 256 MiB."""
+"""Largest file that is read whole, bytes (256 MiB)."""
 LARGEST_TOML = 2**20
-"""Bytes of the largest TOML file, 1 MiB: people write these, and their reader is slow."""
+"""Largest TOML file, bytes (1 MiB): people write these, and the parser is slow."""
 DEEPEST = 100
-"""Levels of lists and tables in a JSON or TOML file."""
+"""Most levels of lists and tables in a JSON or TOML file."""
 LARGEST_PARSED = 2**30
-"""Bytes of memory that the values of a JSON file may take, as `_estimate_memory` counts them: 1 GiB."""
+"""Most memory for the values of a JSON file, bytes (1 GiB), as `_estimate_memory` counts it."""
 DOTTED_KEY = re.compile(r"""(?<![\w.-])(?<!\.[ \t])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)"""
                         f"{{{DEEPEST}}}", re.ASCII)
-"""Key of so many parts, on which the reader of TOML takes the square of their number."""
+"""Matches keys with more parts than this, for which the TOML parser takes quadratic time."""
 
 
 @contextmanager
 def atomic_writer(path: str | os.PathLike[str], *, parents: bool = True) -> Iterator[IO[bytes]]:
-    """Open a binary file that takes its name only once it is complete and on disk; if the body raises, nothing changes.
+    """Open a binary file that gets its name only once it is complete and on disk; an exception changes nothing.
 
-    Missing folders are made where `parents` says so.
+    With `parents`, missing folders are created.
 
     Raises:
-        FileWriteError: the folder cannot be made or written, the disk is full, or no plain file stands there.
+        FileWriteError: the folder cannot be created or written, the disk is full, or the target is not a plain file.
     """
     path = Path(path)
     temporary: Path | None = None
@@ -58,7 +58,7 @@ def atomic_writer(path: str | os.PathLike[str], *, parents: bool = True) -> Iter
         descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
         temporary = Path(name)
         with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(descriptor, 0o666 & ~_umask())  # mkstemp makes files private; ours are plain
+            os.fchmod(descriptor, 0o666 & ~_umask())  # mkstemp makes files private
             yield file
             file.flush()
             os.fsync(descriptor)
@@ -76,48 +76,48 @@ def atomic_writer(path: str | os.PathLike[str], *, parents: bool = True) -> Iter
 
 
 def open_for_writing(path: str | os.PathLike[str], mode: Literal["ab", "wb"] = "ab") -> IO[bytes]:
-    """Open a plain file that grows in place, such as a log, never through a link; errors as `atomic_writer`."""
+    """Open a plain file that grows in place, such as a log, but never through a link; errors as in `atomic_writer`."""
     try:
         _check_replaceable(Path(path))
         return open(path, mode, opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW, 0o666))
     except OSError as error:
         if error.errno == errno.ELOOP:
-            raise FileWriteError(f"cannot write {path}: it is a link, and only plain files are written") from error
+            raise FileWriteError(f"cannot write {path}: it is a link. Choose the path of a plain file") from error
         raise FileWriteError(describe_write_failure(path, error)) from error
 
 
 def _check_replaceable(path: Path) -> None:
-    """Refuse devices and pipes, which a file would take the place of, or which could be waited for in vain."""
+    """Refuse devices and pipes, which a file would replace or which could block forever."""
     try:
         kind = _name_kind(path.stat())
     except FileNotFoundError:
         return
-    except ValueError as error:  # a NUL or half a character in the path
+    except ValueError as error:  # the path contains NUL or half a character
         raise FileWriteError(describe_write_failure(path, error)) from error
     if kind:
-        raise FileWriteError(f"cannot write {path}: it is {kind}, and only plain files are written")
+        raise FileWriteError(f"cannot write {path}: it is {kind}, and only plain files can be written")
 
 
 def _name_kind(status: os.stat_result) -> str:
-    """Kind of what is no plain file, in words; empty for a plain file."""
+    """Kind of a path that is not a plain file, in words; empty for a plain file."""
     if stat.S_ISREG(status.st_mode):
         return ""
     return "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write bytes to `path` atomically; see `atomic_writer` for errors."""
+    """Write bytes to `path` atomically; errors as in `atomic_writer`."""
     with atomic_writer(path) as file:
         file.write(content)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write text as UTF-8 to `path` atomically; see `atomic_writer` for errors."""
+    """Write text as UTF-8 to `path` atomically; errors as in `atomic_writer`."""
     write_bytes(path, text.encode("utf-8"))
 
 
 def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2, *, parents: bool = True) -> None:
-    """Write a JSON value atomically; floats come back bit for bit, NaN and infinities are a `ValueError`."""
+    """Write a JSON value atomically. Floats are preserved exactly; NaN and infinities raise `ValueError`."""
     text = json.dumps(value, indent=indent, allow_nan=False) + "\n"
     with atomic_writer(path, parents=parents) as file:
         file.write(text.encode())
@@ -125,12 +125,15 @@ def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2,
 
 @contextmanager
 def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
-    """Open a plain file for reading; devices, pipes and folders are refused before a byte is read.
+    """Open a plain file for reading. Devices, pipes and folders are refused before a byte is read.
 
-    `what` is the kind of file, in words, for the message, and `largest` the most bytes that it may have.
+    Args:
+        path: path of the file.
+        what: kind of file for messages, in words.
+        largest: largest size of the file, bytes.
 
     Raises:
-        FileReadError: it is missing, no plain file, too large, or may not be read.
+        FileReadError: the file is missing, not a plain file, too large, or not readable.
     """
     path = Path(path)
     try:
@@ -142,7 +145,7 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
             if status.st_size > largest:
                 raise FileReadError(f"{path}: this {what} has {status.st_size:,} bytes; at most {largest:,} are read "
                                     "here")
-            with os.fdopen(descriptor, "rb", closefd=False) as file:  # which refuses a folder in words of its own
+            with os.fdopen(descriptor, "rb", closefd=False) as file:  # raises its own error for a folder
                 yield file
         finally:
             os.close(descriptor)
@@ -150,25 +153,25 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
         raise
     except FileNotFoundError as error:
         raise FileReadError(f"{path}: no such {what}") from error
-    except (OSError, ValueError) as error:  # a ValueError is a NUL in the path
+    except (OSError, ValueError) as error:  # a ValueError means NUL in the path
         raise FileReadError(f"{path}: cannot read this {what}: {getattr(error, 'strerror', None) or error}") from error
 
 
 def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest: int) -> None:
-    """Check files that a library is to open: plain, of known kinds, and not too large together.
+    """Check files before a library opens them: plain, of known kinds, and not too large together.
 
-    A file named twice counts once. `endings` are those of the known kinds, such as `.stl`; an archive could unpack to
-    anything. See `open_plain`.
+    A file named twice counts once. `endings` are the endings of the known kinds, such as `.stl`. Archives are not
+    allowed, because their unpacked size is unknown. Raises the errors of `open_plain`.
     """
     left = largest
     for name in sorted(set(paths)):
         if Path(name).suffix.lower() not in endings:
-            raise FileReadError(f"{name[:200]}: this {what} is of no known kind: {', '.join(endings)}")
+            raise FileReadError(f"{name[:200]}: this {what} must end in one of {', '.join(endings)}")
         with open_plain(name, what, largest) as file:
             left -= os.fstat(file.fileno()).st_size
         if left < 0:
-            raise FileReadError(f"{name}: files of this kind ({what}) have more than {largest:,} bytes together; "
-                                "simplify them")
+            raise FileReadError(f"{name}: files of this kind ({what}) have more than {largest:,} bytes together. "
+                                "Simplify them")
 
 
 def read_bytes(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> bytes:
@@ -191,7 +194,7 @@ def read_json(path: str | os.PathLike[str], what: str = "JSON file") -> Any:
 
 
 def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str) -> Any:
-    """Parse the text of a JSON file; see `read_json`."""
+    """Parse the text of a JSON file, as in `read_json`."""
     needed = _estimate_memory(text)
     if needed > LARGEST_PARSED:
         raise FileReadError(f"{path}: this {what} cannot be read: its values may take {needed >> 20:,} MiB of memory; "
@@ -223,14 +226,14 @@ def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str
 
 
 def _estimate_memory(text: str | bytes) -> int:
-    """Bytes that the values of a JSON text take in CPython, at a generous count: each table, list, key and value."""
+    """Generous estimate, in bytes, of the memory of a JSON text's values in CPython."""
     marks = {"{": 240, "[": 90, ":": 40, ",": 40}
     content = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
     return len(content) + sum(cost * content.count(mark.encode()) for mark, cost in marks.items())
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no number that JSON has")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _describe_extreme(error: Exception) -> str:
@@ -240,7 +243,7 @@ def _describe_extreme(error: Exception) -> str:
 
 
 def _check_depth(value: Any, path: str | os.PathLike[str], what: str) -> None:
-    """Refuse what is nested so deep that a recursive function would fail on it."""
+    """Refuse nesting so deep that recursive functions would fail."""
     level = [value]
     for _ in range(DEEPEST + 1):
         level = [part for part in level if isinstance(part, (dict, list))]
@@ -251,16 +254,16 @@ def _check_depth(value: Any, path: str | os.PathLike[str], what: str) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder, and those above it, where they are missing; see `atomic_writer` for errors."""
+    """Create a folder and its missing parents; errors as in `atomic_writer`."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:  # a ValueError is a NUL or half a character in the path
+    except (OSError, ValueError) as error:  # a ValueError means NUL or half a character in the path
         raise FileWriteError(describe_write_failure(path, error)) from error
 
 
 @contextmanager
 def temporary_folder() -> Iterator[Path]:
-    """Folder for files that a library is to read, gone after the block; see `atomic_writer` for errors."""
+    """Make a folder for files that a library reads, and delete it after the block; errors as in `atomic_writer`."""
     try:
         with tempfile.TemporaryDirectory(prefix="hrl_escape-") as folder:
             yield Path(folder)
@@ -271,16 +274,16 @@ def temporary_folder() -> Iterator[Path]:
 
 
 def clear_unfinished(folder: str | os.PathLike[str]) -> None:
-    """Remove what writers that were killed left in a folder; nobody else may be writing there."""
+    """Remove the remains of killed writers in a folder. No other process may be writing there."""
     with suppress(OSError):
         for path in Path(folder).glob(f"{TEMPORARY_PREFIX}*"):
             path.unlink()
 
 
 def describe_write_failure(path: str | os.PathLike[str], error: OSError | ValueError) -> str:
-    """Message for a failed write: path, cause and remedy."""
+    """Return the message for a failed write: path, cause and remedy."""
     cause = getattr(error, "strerror", None) or error
-    return f"cannot write {path}: {cause}. Free some space or choose a folder you may write to"
+    return f"cannot write {path}: {cause}. Free some space or choose a writable folder"
 
 
 def _umask() -> int:
@@ -290,7 +293,7 @@ def _umask() -> int:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself durable, where the file system supports it."""
+    """Make the rename itself durable, if the file system supports it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

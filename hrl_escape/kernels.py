@@ -1,9 +1,9 @@
-"""Compiled kernels: one decorator, one cache on disk, one clock that leaves compilation out.
+"""Compiled kernels: one decorator, one cache on disk, and one clock that excludes compilation.
 
-The cache is keyed by the package's version and by the sources of all kernels: an upgrade never meets what an older
-version compiled, and all checkouts of the same sources share it. Compilation is announced on stderr. `read_clock`
-stands still while numba compiles or loads a kernel: no measured or limited time contains that. Importing this
-module imports numba.
+The key of the cache contains the package's version and the sources of all kernels. An upgrade never loads code that an
+older version compiled, and all checkouts of the same sources share the cache. Compilation is announced on stderr.
+`read_clock` stops while numba compiles or loads a kernel, which keeps that out of every measured or limited time.
+Importing this module imports numba.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ SOURCES = ("agents/factored/search.py", "agents/factored/structure.py", "env/bas
            "env/bases/disc.py", "env/bases/rectangle.py", "env/floor_grid.py", "env/geometry.py", "floor/clearance.py",
            "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py",
            "planning/arm/joint_lattice.py", "planning/search/a_star.py")
-"""Files, relative to the package, that compiled code is made of: functions, constants and the tuples it is given."""
+"""Files, relative to the package, that compiled code depends on: functions, constants and tuple types."""
 WITHOUT_BASES = ("agents/factored/search.py", "agents/factored/structure.py", "planning/arm/joint_lattice.py")
 """Those of `SOURCES` whose kernels contain no function of a base, so a new base leaves what is compiled valid."""
 
-_PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",
+_PARTS = {"agents": "structure learning", "env": "the room's geometry", "floor": "ways over the floor",
           "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
 """Purpose of the kernels of each part of the package, for the progress line."""
-_CONFIG: Any = config  # its names are set when it is imported
+_CONFIG: Any = config  # numba sets its attributes at import
 _UNCOUNTED: dict[str, Any] = {"_nrt": False}
 """Numba's option for code without its runtime, which allocates arrays and counts references to them."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function on first use and keep it on disk."""
+    """Compile a function at first use and cache it on disk."""
     return _compile(function, {})
 
 
 def kernel_in_place(function: Callable[..., Any]) -> Any:
-    """Compile a function that makes and returns no array; see `kernel`.
+    """Compile a function that neither allocates nor returns an array; see `kernel`.
 
-    Numba then leaves out the counts of references to the arrays that it is given. With many arrays in a tuple it
-    counts at every use of the tuple: that took two thirds of the time of A*.
+    Numba then omits reference counts of its array arguments. With many arrays in a tuple it would count at every use of
+    the tuple, which took two thirds of the time of A*.
     """
     return _compile(function, _UNCOUNTED)
 
 
 class SourceLocator(UserProvidedCacheLocator):
-    """Place of a kernel's compiled code: by its place in the package, wherever the package is."""
+    """Location of a kernel's compiled code, by its place in the package, wherever the package is installed."""
 
     @classmethod
     def get_suitable_cache_subpath(cls, py_file: str) -> str:
-        """The module's folder within the package; a hash of the whole path for other files."""
+        """Return the module's folder within the package, or a hash of the whole path for other files."""
         folder = Path(py_file).resolve().parent
         package = Path(__file__).resolve().parent
         if not folder.is_relative_to(package):
@@ -69,7 +69,7 @@ class SourceLocator(UserProvidedCacheLocator):
 
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     before = _CONFIG.CACHE_DIR, getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", "")
-    try:  # both are read by the decorator only; numba before 0.62 knows one locator
+    try:  # only the decorator reads both; numba before 0.62 supports one locator
         folder = _FOLDER_WITHOUT_BASES if function.__module__ in _MODULES_WITHOUT_BASES else _FOLDER
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{SourceLocator.__name__}"
         compiled = numba.njit(cache=True, **options)(function)
@@ -81,12 +81,12 @@ def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
 
 def kernel_part(function: Callable[..., Any]) -> Any:
-    """Compile a function that makes and returns no array, as part of the kernels that call it."""
+    """Compile a function that neither allocates nor returns an array, as part of the kernels that call it."""
     return numba.njit(**_UNCOUNTED)(function)
 
 
 def add_sources(files: Iterable[Path]) -> None:
-    """Keep the kernels with bases that are decorated from now on apart from those that other files are part of."""
+    """Add files that later kernels with bases depend on to the key of their cache."""
     global _FOLDER
     own = {Path(__file__).parent / name for name in SOURCES}
     foreign = [file for file in files if file not in own]
@@ -95,7 +95,7 @@ def add_sources(files: Iterable[Path]) -> None:
 
 
 def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = None) -> Path:
-    """Folder of compiled kernels; the variable NUMBA_CACHE_DIR moves it.
+    """Return the folder of compiled kernels; the variable NUMBA_CACHE_DIR moves it.
 
     Args:
         more: files that are part of the kernels besides the package's own.
@@ -118,7 +118,7 @@ def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = Non
 
 
 def read_clock() -> float:
-    """Seconds of a clock that stands still while this thread compiles or loads kernels."""
+    """Return the seconds of a clock that stops while this thread compiles or loads kernels."""
     return time.perf_counter() - _STOPWATCH.read()
 
 
@@ -129,32 +129,32 @@ class _Stopwatch(event.Listener):
         self._thread = threading.local()
 
     def read(self) -> float:
-        """Seconds of the present thread so far."""
+        """Return the seconds of the current thread."""
         spent = getattr(self._thread, "spent", 0.0)
         return spent + (time.perf_counter() - self._thread.began if getattr(self._thread, "depth", 0) else 0.0)
 
     def on_start(self, event: Any) -> None:
-        """Note the beginning of the outermost event."""
+        """Record the beginning of the outermost event."""
         depth = getattr(self._thread, "depth", 0)
         if depth == 0:
             self._thread.began = time.perf_counter()
         self._thread.depth = depth + 1
 
     def on_end(self, event: Any) -> None:
-        """Add up at the end of the outermost event."""
+        """Add the duration of the outermost event."""
         self._thread.depth -= 1
         if self._thread.depth == 0:
             self._thread.spent = getattr(self._thread, "spent", 0.0) + time.perf_counter() - self._thread.began
 
 
 class _Announcer(event.Listener):
-    """Says on stderr that kernels are compiled, and what for."""
+    """Announces on stderr that kernels are being compiled, and their purpose."""
 
     def __init__(self) -> None:
         self._count, self._uses = 0, set[str]()
 
     def on_start(self, event: Any) -> None:
-        """Announce the first kernel of each use; on a terminal, name all."""
+        """Announce the first kernel of each purpose; on a terminal, name every kernel."""
         name = _get_name(event)
         if name not in _USES:
             return
@@ -167,7 +167,7 @@ class _Announcer(event.Listener):
             print(f"\r\033[K  {self._count}: {name}", end="", file=sys.stderr, flush=True)
 
     def on_end(self, event: Any) -> None:
-        """Clear the line again."""
+        """Clear the line."""
         if _get_name(event) in _USES and sys.stderr.isatty():
             print("\r\033[K", end="", file=sys.stderr, flush=True)
 

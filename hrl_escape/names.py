@@ -1,7 +1,6 @@
-"""Names from rooms, grids and agents, made safe where a file or a line of a console is made of them; lists and times.
+"""Safe file names and console text from names of rooms, grids and agents; lists, numbers and durations as text.
 
-Such names come from files that others may have written: `../x`, a line break, 300 letters or a
-terminal's escape codes are all possible.
+Names come from files of unknown origin. They may contain `../`, line breaks, 300 letters or a terminal's escape codes.
 """
 
 from __future__ import annotations
@@ -11,15 +10,15 @@ import re
 from collections.abc import Iterable
 
 LONGEST_FILE_NAME = 120
-"""Bytes of a file name that is made from a name; file systems take 255, endings included."""
+"""Most bytes of a file name made from a name. File systems allow 255, ending included."""
 LONGEST_CONSOLE_TEXT = 100
-"""Characters of a name on a console."""
+"""Most characters of a name on a console."""
 
 
 def make_file_name(name: str) -> str:
-    """Make one name of a file or folder: no separators, no leading dot, at most `LONGEST_FILE_NAME` bytes.
+    """Make a name of a file or folder: no separators, no leading dot, at most `LONGEST_FILE_NAME` bytes.
 
-    A name that is changed ends in a hash of the whole, so that different names stay different.
+    A name that had to change ends in a hash of the original, which keeps different names different.
     """
     safe = re.sub(r"[^\w.@#+-]+", "_", name).lstrip(".")
     if safe == name and name and len(name.encode()) <= LONGEST_FILE_NAME:
@@ -30,8 +29,8 @@ def make_file_name(name: str) -> str:
 
 
 def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
-    """Make a piece of a line that rich prints as it stands: no markup, no control characters, not long."""
-    from rich import markup  # not for `hrl-escape --help`
+    """Make a safe part of a line that rich prints: no markup, no control characters, at most `longest` characters."""
+    from rich import markup  # imported here because `hrl-escape --help` does not need it
 
     shown = name if len(name) <= longest else f"{name[: longest - 3]}..."
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in shown)
@@ -39,31 +38,31 @@ def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
 
 
 def parse_whole(text: str) -> int | None:
-    """Read the number in a name such as `clutter#3`: at most 18 digits, 0 to 9; None for any other text."""
+    """Return the number in a name such as `clutter#3`: at most 18 digits, 0 to 9, or None for any other text."""
     return int(text) if re.fullmatch("[0-9]{1,18}", text) else None
 
 
 def join_words(words: Iterable[str], last: str = "and") -> str:
-    """List words as a sentence does: `a`, `a and b`, `a, b and c`; nothing for none."""
+    """Join words as in a sentence: `a`, `a and b`, `a, b and c`; empty for no words."""
     *before, end = list(words) or [""]
     return f"{', '.join(before)} {last} {end}" if before else end
 
 
 def number_options(count: int) -> tuple[str, ...]:
-    """Keys of a room's options by number, the exit's last: `meta-01`, `meta-02`, `meta-exit`.
+    """Return keys of a room's options by number, the exit's last: `meta-01`, `meta-02`, `meta-exit`.
 
-    Draws of degraded options and hashes of published recordings depend on them, and not on what options are called.
+    Random draws of degraded options and hashes of published recordings depend on these keys, not on option names.
     """
     return (*(f"meta-{number:02d}" for number in range(1, count)), "meta-exit") if count else ()
 
 
 def count_nouns(number: int, noun: str) -> str:
-    """Number and noun: `1 room`, `2 rooms`, `1,000 rooms`."""
+    """Return number and noun: `1 room`, `2 rooms`, `1,000 rooms`."""
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
 
 
 def tell_seconds(seconds: float) -> str:
-    """A duration with its unit: `3.2 s`, `45 s`, `15 min` or `2 h 5 min`."""
+    """Return a duration with its unit: `3.2 s`, `45 s`, `15 min` or `2 h 5 min`."""
     if round(seconds) < 90:
         return f"{seconds:.1f} s" if round(seconds, 1) < 10 else f"{seconds:.0f} s"
     minutes = round(seconds / 60)

@@ -1,4 +1,4 @@
-"""Worker processes: their life and the locks by which they keep each other out of a folder."""
+"""Worker processes: their lifetime, and locks that give one process at a time access to a folder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL, errno.EB
 
 
 def die_with_parent() -> None:
-    """End this process when its parent process ends, for whatever reason."""
+    """End this process when its parent process ends, for any reason."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return
@@ -34,19 +34,19 @@ def die_with_parent() -> None:
 
 
 def take_lock(file: IO[bytes]) -> bool:
-    """Lock an open file until the process ends, however it does; False where another process holds the lock.
+    """Lock an open file until the process ends. Returns False if another process holds the lock.
 
-    A file system without locks is warned of, and its files count as free.
+    On a file system without locks, warns and returns True.
     """
     return _lock(file.fileno(), file.name, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 @contextmanager
 def taking_turns(folder: Path) -> Iterator[None]:
-    """Wait until no other process is in such a block about the same folder, which is made if it is missing.
+    """Wait until no other process is in such a block for the same folder, which is created if it is missing.
 
-    For what is read, changed and written again: each then reads what the one before has written. It leaves no file, and
-    a process that dies is in no block any more. A file system without locks is warned of.
+    Use it to read, change and write a file: each process then reads what the previous one has written. It leaves no
+    file behind, and a process that dies leaves its block. On a file system without locks, it warns and does not wait.
     """
     make_folder(folder)
     descriptor = os.open(folder, os.O_RDONLY)
@@ -58,12 +58,12 @@ def taking_turns(folder: Path) -> Iterator[None]:
 
 
 def _lock(descriptor: int, name: object, how: int) -> bool:
-    """Lock what a descriptor is open on; False where another process holds the lock."""
+    """Lock an open descriptor; return False if another process holds the lock."""
     try:
         fcntl.flock(descriptor, how)
     except OSError as error:
         if error.errno not in NO_LOCKS:
             return False
-        warnings.warn(f"{name}: this file system has no locks ({error.strerror}), so that nothing keeps two "
-                      "processes out of one folder: start each but once", RuntimeWarning, stacklevel=3)
+        warnings.warn(f"{name}: this file system has no locks ({error.strerror}), and two processes could use one "
+                      "folder. Start each run only once", RuntimeWarning, stacklevel=3)
     return True

@@ -1,7 +1,7 @@
-"""One registry for every kind of part that has a name: agents, puzzles, observations, rewards, bases and more.
+"""One registry for every kind of named part: agents, puzzles, observations, rewards, bases and more.
 
-A name comes from this package, from a program that calls `register`, or from an installed package that publishes an
-entry point under `hrl_escape.<kind>s`. A part of another package is imported when it is first asked for.
+A part comes from this package, from a program that calls `register`, or from an installed package with an entry point
+under `hrl_escape.<kind>s`. Parts of other packages are imported at first use.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ class Registry(Generic[PartType]):
 
     Args:
         kind: singular noun for messages, such as `path planner`; the entry-point group is `hrl_escape.path_planners`.
-        shape: what a part is, in words, such as `a subclass of Observer`.
-        accepts: true for values that are such a part.
-        shipped: this package's parts that are imported on first use: name to `module:attribute`, or to a function
-            that imports and returns the part.
+        shape: required type of a part, in words, such as `a subclass of Observer`.
+        accepts: returns true for valid parts.
+        shipped: parts of this package that are imported at first use: name to `module:attribute`, or to a function that
+            imports and returns the part.
 
     Attributes:
-        kind: as given.
+        kind: singular noun for messages.
         group: name of the entry-point group.
     """
 
@@ -42,10 +42,10 @@ class Registry(Generic[PartType]):
         self._parts: dict[str, PartType] = {}
 
     def register(self, name: str, part: PartType) -> None:
-        """Register a part under a name; the same part again changes nothing.
+        """Register a part under a name. Registering the same part again has no effect.
 
         Raises:
-            ConfigError: the value is of another shape, or the name is taken.
+            ConfigError: the part is not valid, or the name is taken.
         """
         if not self._accepts(part):
             raise ConfigError(self.kind, part, self._shape)
@@ -54,14 +54,14 @@ class Registry(Generic[PartType]):
         self._parts[name] = part
 
     def unregister(self, name: str) -> None:
-        """Remove a part that `register` added; an unknown name is ignored."""
+        """Remove a part added by `register`; unknown names are ignored."""
         self._parts.pop(name, None)
 
     def get(self, name: Any) -> PartType:
-        """Return the part of a name.
+        """Return a part by name.
 
         Raises:
-            UnknownNameError: no part has that name; the message names the closest.
+            UnknownNameError: no part of that name; the message names the closest.
             PluginError: the part belongs to another package and cannot be imported.
         """
         if not isinstance(name, str):
@@ -80,12 +80,12 @@ class Registry(Generic[PartType]):
         return part
 
     def names(self) -> tuple[str, ...]:
-        """Return all names: shipped and registered ones, then entry points, which stay unloaded."""
+        """Return all names: shipped and registered ones, then entry points, without loading them."""
         own = dict.fromkeys((*self._shipped, *self._parts))
         return (*own, *sorted(self._find_entry_points().keys() - own))
 
     def load_all(self) -> dict[str, PartType]:
-        """Return name to part for all names; leaves out, with a warning, what cannot be loaded from other packages."""
+        """Return all parts by name. Parts of other packages that fail to load are omitted with a warning."""
         loaded: dict[str, PartType] = {}
         for name in self.names():
             try:
@@ -101,7 +101,7 @@ class Registry(Generic[PartType]):
         return iter(self.names())
 
     def _find_entry_points(self) -> dict[str, EntryPoint]:
-        from importlib.metadata import entry_points  # takes a tenth of the package's import
+        from importlib.metadata import entry_points  # imported here: it takes a tenth of the package's import
 
         return {point.name: point for point in entry_points(group=self.group)}
 
@@ -114,5 +114,5 @@ class Registry(Generic[PartType]):
         except Exception as error:  # importing another package can raise anything
             raise PluginError(f"{where}: {type(error).__name__}: {error}") from error
         if not is_accepted:
-            raise PluginError(f"{where}: it must be {self._shape}, not {part!r}")
+            raise PluginError(f"{where}: it must be {self._shape}, got {part!r}")
         return part

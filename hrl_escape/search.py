@@ -1,4 +1,4 @@
-"""Best-first search: the frontier, and the cheapest steps to a goal, exact as long as that is quick, then greedy."""
+"""Best-first search: the frontier, and cheapest steps to a goal, exact within a budget and greedy beyond it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from collections.abc import Callable, Hashable, Iterable
 from typing import Generic, TypeVar
 
 MOST_EXACT = 10_000
-"""States beyond which the search goes on greedily, so that its steps need not be the cheapest."""
+"""Number of states after which the search becomes greedy, and its steps may no longer be the cheapest."""
 _GREED = 5
-"""Weight of the estimate from there on."""
+"""Weight of the estimate in the greedy search."""
 
 _State = TypeVar("_State", bound=Hashable)
 _Step = TypeVar("_Step")
@@ -20,7 +20,7 @@ _Node = TypeVar("_Node")
 
 
 class OpenNodes(Generic[_Key, _Node]):
-    """Open nodes of a best-first search: of each key only the one that costs least, of equal estimates the first."""
+    """Open nodes of a best-first search: only the cheapest of each key; among equal estimates the first."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[float, int, float, _Key, _Node]] = []
@@ -28,9 +28,10 @@ class OpenNodes(Generic[_Key, _Node]):
         self._pushed = 0
 
     def push(self, key: _Key, cost: float, estimate: float, node: _Node) -> None:
-        """Add a node unless one with its key has come that costs no more.
+        """Add a node unless one with its key costs no more.
 
-        The cost is that of the way to it, the estimate that of the whole way through it; the least is taken first.
+        `cost` is the cost of the way to the node, `estimate` the estimated cost of the whole way through it. The
+        smallest estimate is popped first.
         """
         if cost < self._costs.get(key, math.inf):
             self._costs[key] = cost
@@ -38,7 +39,7 @@ class OpenNodes(Generic[_Key, _Node]):
             heapq.heappush(self._heap, (estimate, self._pushed, cost, key, node))
 
     def pop(self) -> tuple[float, int, float, _Key, _Node] | None:
-        """Take out the node of least estimate, as (estimate, number, cost, key, node); None if none is left."""
+        """Pop the node with the smallest estimate, as (estimate, number, cost, key, node), or None if there is none."""
         while self._heap:
             entry = heapq.heappop(self._heap)
             if entry[2] <= self._costs[entry[3]]:
@@ -49,16 +50,16 @@ class OpenNodes(Generic[_Key, _Node]):
 def find_cheapest_steps(start: _State, is_goal: Callable[[_State], bool],
                         list_steps: Callable[[_State], Iterable[tuple[_Step, int, _State]]],
                         estimate: Callable[[_State], float], most: float = math.inf) -> tuple[_Step, ...] | None:
-    """A* from a state to a goal; None if there is no way, or none within `most` states.
+    """Find the cheapest steps from a state to a goal by A*, or None if there are none within `most` states.
 
-    Beyond `MOST_EXACT` states the estimate counts five times, and the steps need not be the cheapest.
+    After `MOST_EXACT` states the estimate counts five times, and the steps may no longer be the cheapest.
 
     Args:
-        start: first state.
-        is_goal: says whether a state is a goal.
-        list_steps: steps from a state, as (step, its cost, next state).
-        estimate: lower bound of the cost from a state to a goal; infinite where none can be reached.
-        most: states after which the search gives up.
+        start: initial state.
+        is_goal: returns whether a state is a goal.
+        list_steps: returns the steps from a state, as (step, cost, next state).
+        estimate: lower bound on the cost from a state to a goal; infinite if no goal is reachable.
+        most: largest number of states to expand.
     """
     tie, weight, rest = itertools.count(), 1, estimate(start)
     cost: dict[_State, int] = {start: 0}

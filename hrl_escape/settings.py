@@ -1,15 +1,15 @@
 """Frozen dataclass settings: ranges in the annotations, a sentence under each field, checks at construction.
 
-Room configurations, puzzles, agents and grids are all written in this form:
+Room configurations, puzzles, agents and grids have this form:
 
     @dataclasses.dataclass(frozen=True)
     class ShapeConfig(Settings):
         width: Annotated[float, Range(5, 200, "m")] = 20.0
         '''Inner size along x.'''
 
-Fields hold numbers, text, `Literal` names, booleans, tuples, None and other settings. Construction refuses
-impossible values; `to_dict` and `from_dict` turn settings into plain JSON values and back. Where a class says so, its
-numbers may be ranges to draw from, `Between(3, 5)`.
+Fields hold numbers, text, `Literal` names, booleans, tuples, None and other settings. Construction raises for invalid
+values. `to_dict` and `from_dict` convert settings to plain JSON values and back. Some classes also accept ranges for
+numbers, such as `Between(3, 5)`, which each room draws from.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from hrl_escape.errors import ConfigError, UnknownNameError
 
 
 class Between:
-    """Number that is drawn from a range, both ends included, as in `ButtonsConfig(count=Between(3, 5))`.
+    """Range of a number that is drawn at random, both ends included, as in `ButtonsConfig(count=Between(3, 5))`.
 
-    Its text is `3..5`, in JSON and on the command line alike. To a type checker it is `Any`, for it stands where a
-    number is declared.
+    Its text is `3..5`, in JSON and on the command line. Its type for type checkers is `Any`, because it replaces a
+    number.
     """
 
     low: float
     high: float
 
-    def __new__(cls, low: float, high: float) -> Any:  # noqa: D102  # the class says it
+    def __new__(cls, low: float, high: float) -> Any:  # noqa: D102  # documented by the class
         made = super().__new__(cls)
         made.low, made.high = low, high
         return made
 
     @classmethod
     def parse(cls, text: str) -> Any:
-        """Range from its text; `ValueError` where it is none."""
+        """Parse a range from its text. Raises `ValueError` for other text."""
         low, _, high = text.partition("..")
         return cls(_read_number(low), _read_number(high))
 
@@ -81,7 +81,7 @@ Dataclass = TypeVar("Dataclass")
 
 
 def list_ranges(settings: Any) -> dict[str, Between]:
-    """Ranges in a dataclass and the dataclasses in its fields, by dotted path, in the order of the fields."""
+    """Return the ranges in a dataclass and its nested dataclasses, by dotted path, in the order of the fields."""
     return dict(_find_ranges(settings, ""))
 
 
@@ -91,7 +91,7 @@ _PLAIN = frozenset({int, float, str, bool, tuple, type(None)})
 def _find_ranges(settings: Any, path: str) -> Iterator[tuple[str, Between]]:
     for name in _list_names(type(settings)):
         value = getattr(settings, name)
-        if type(value) in _PLAIN:  # nearly all fields, at every construction
+        if type(value) in _PLAIN:  # a shortcut for most fields, because every construction runs this
             continue
         if isinstance(value, Between):
             yield path + name, value
@@ -105,7 +105,7 @@ def _list_names(kind: type) -> tuple[str, ...]:
 
 
 def fill_ranges(settings: Dataclass, values: Mapping[str, Any]) -> Dataclass:
-    """Copy of a dataclass with a number in place of each range, by the paths that `list_ranges` gives."""
+    """Return a copy of a dataclass with numbers instead of ranges, given by the paths of `list_ranges`."""
     changes: dict[str, Any] = {}
     inner: dict[str, dict[str, Any]] = {}
     for path, value in values.items():
@@ -119,16 +119,16 @@ def fill_ranges(settings: Dataclass, values: Mapping[str, Any]) -> Dataclass:
 
 
 MOST_RANGES = 8
-"""Most ranges in settings and their sections, for every combination of their ends is checked."""
+"""Most ranges in settings and their sections, because every combination of their ends is checked."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Range:
-    """Numbers that a field may take, as in `Annotated[float, Range(0, 1)]`."""
+    """Valid numbers of a field, as in `Annotated[float, Range(0, 1)]`."""
 
-    low: float = -math.inf  # smallest number allowed
-    high: float = math.inf  # largest number allowed
-    unit: str = ""  # unit of the number, empty for counts and shares
+    low: float = -math.inf  # smallest valid number
+    high: float = math.inf  # largest valid number
+    unit: str = ""  # unit of the number, empty for counts and fractions
     _: dataclasses.KW_ONLY
     open_low: bool = False  # exclude `low` itself
     open_high: bool = False  # exclude `high` itself
@@ -152,14 +152,14 @@ class Range:
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Base of all settings: every field is checked against its annotation at construction."""
+    """Base class of all settings: construction checks every field against its annotation."""
 
     _section: ClassVar[str] = ""
-    """Name of the section in messages and paths; the class's own name where it is empty."""
+    """Name of the section in messages and paths; the name of the class if empty."""
     _error: ClassVar[type[ConfigError]] = ConfigError
-    """Exception for impossible values in this family of settings."""
+    """Exception for invalid values in this family of settings."""
     _takes_ranges: ClassVar[bool] = False
-    """Numbers may be ranges to draw from."""
+    """Whether numbers may be ranges."""
 
     def __post_init__(self) -> None:
         section = self._section or type(self).__name__
@@ -178,22 +178,22 @@ class Settings:
             raise self._error(section, ", ".join(ranges), f"at most {MOST_RANGES} ranges")
         else:
             for ends in itertools.product(*((between.low, between.high) for between in ranges.values())):
-                fill_ranges(self, dict(zip(ranges, ends, strict=True)))  # these check themselves
+                fill_ranges(self, dict(zip(ranges, ends, strict=True)))  # construction checks the ends
 
     def check(self) -> None:
-        """Refuse combinations of fields that do not go together; subclasses extend it."""
+        """Raise for invalid combinations of fields. Subclasses extend it."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Nested plain dicts, lists, numbers and text, ready for JSON."""
+        """Return nested plain dicts, lists, numbers and text, ready for JSON."""
         return {field.name: _make_plain(getattr(self, field.name)) for field in dataclasses.fields(self)}
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Settings from what `to_dict` gave; missing fields take their defaults.
+        """Build settings from the output of `to_dict`. Missing fields get their defaults.
 
         Raises:
-            UnknownNameError: there is no such field; the message names the closest.
-            ConfigError: a value is not possible.
+            UnknownNameError: no such field; the message names the closest.
+            ConfigError: a value is not valid.
         """
         section = cls._section or cls.__name__
         if not isinstance(data, Mapping):
@@ -210,11 +210,11 @@ class Settings:
 
 
 def replace_settings(settings: Dataclass, changes: Mapping[str, Any]) -> Dataclass:
-    """Copy of settings with some fields changed.
+    """Return a copy of settings with some fields changed.
 
     Raises:
-        UnknownNameError: there is no such field; the message names the closest.
-        ConfigError: a value is not possible.
+        UnknownNameError: no such field; the message names the closest.
+        ConfigError: a value is not valid.
     """
     known = [field.name for field in dataclasses.fields(settings)]  # type: ignore[arg-type]  # a frozen dataclass
     for name in changes:
@@ -224,13 +224,13 @@ def replace_settings(settings: Dataclass, changes: Mapping[str, Any]) -> Datacla
 
 
 def read_record(kind: type[Dataclass], data: Any, path: str = "") -> Dataclass:
-    """Make a dataclass from a JSON table, with every field checked against its annotation.
+    """Build a dataclass from a JSON table, with a check of every field against its annotation.
 
-    `path` is the table's in messages, dotted; the class's name by default.
+    `path` is the dotted path of the table in messages; by default the name of the class.
 
     Raises:
-        UnknownNameError: there is no such field; the message names the closest.
-        ConfigError: a field is missing, or its value is not possible.
+        UnknownNameError: no such field; the message names the closest.
+        ConfigError: a field is missing, or its value is not valid.
     """
     path = path or kind.__name__
     if not isinstance(data, Mapping):
@@ -255,15 +255,15 @@ def read_record(kind: type[Dataclass], data: Any, path: str = "") -> Dataclass:
 class FieldDescription:
     """Description of one field for tables and `--help`."""
 
-    name: str  # of the field
-    default: Any  # its value where none is given
-    allowed: str  # possible values, in words
+    name: str  # name of the field
+    default: Any  # default value
+    allowed: str  # valid values, in words
     document: str  # the sentence under the field
-    is_section: bool  # the field holds settings itself
+    is_section: bool  # whether the field holds nested settings
 
 
 def describe_fields(settings: type[Settings]) -> tuple[FieldDescription, ...]:
-    """Descriptions of the fields of a settings class, in order."""
+    """Describe the fields of a settings class, in order."""
     documents, readers = read_field_documents(settings), _make_readers(settings)
     return tuple(
         FieldDescription(field.name, field.default if field.default_factory is dataclasses.MISSING
@@ -273,7 +273,7 @@ def describe_fields(settings: type[Settings]) -> tuple[FieldDescription, ...]:
 
 
 def read_field_documents(settings: Any) -> dict[str, str]:
-    """Sentences under the fields of a settings dataclass and its bases, by the field's name.
+    """Return the sentences under the fields of a settings dataclass and its bases, by field name.
 
     They are read from the source code; a class without source code has none.
     """
@@ -286,7 +286,7 @@ def read_field_documents(settings: Any) -> dict[str, str]:
 
 @functools.cache
 def _read_own_documents(owner: type) -> dict[str, str]:
-    """Sentences under the fields that a class itself declares; Python parses the whole module for each class."""
+    """Sentences under the fields that a class itself declares. Python parses the whole module once per class."""
     try:
         source = inspect.getsource(owner)
     except (OSError, TypeError):
@@ -301,13 +301,13 @@ def _read_own_documents(owner: type) -> dict[str, str]:
 # --- values ----------------------------------------------------------------------------
 
 
-class _Refusal(Exception):  # noqa: N818  # becomes the error of the settings' family
-    """An impossible value: its path, itself, and the possible ones in words."""
+class _Refusal(Exception):  # noqa: N818  # converted to the error of the settings' family
+    """An invalid value: its path, the value, and the valid ones in words."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Reader:
-    """Possible values of a field in words, and the function that checks and converts one (path, value)."""
+    """Valid values of a field in words, and the function that checks and converts a (path, value)."""
 
     allowed: str
     read: Callable[[str, Any], Any]
@@ -366,13 +366,13 @@ def _make_number_reader(kind: type, limits: Range | None) -> _Reader:
             raise _Refusal(path, given, allowed)
         if limits is not None and value not in limits:
             raise _Refusal(path, given, allowed)
-        return value or kind(0)  # a zero below zero (-0.0) is plain zero: equal settings are written alike
+        return value or kind(0)  # -0.0 becomes 0.0, which gives equal settings equal text
 
     return _Reader(allowed, read, is_number=True)
 
 
 def _take_ranges(reader: _Reader) -> _Reader:
-    """Reader of what `reader` takes, and of ranges of such numbers."""
+    """Reader of the values of `reader`, and of ranges of such numbers."""
 
     def read(path: str, value: Any) -> Any:
         given = value
@@ -392,7 +392,7 @@ def _take_ranges(reader: _Reader) -> _Reader:
 
 
 def _make_table_reader(kind: Any) -> _Reader:
-    """Reader of settings, whose own errors name the section, or of another dataclass, whose errors give the path."""
+    """Reader of settings, whose errors name the section, or of another dataclass, whose errors name the path."""
     is_section, allowed = issubclass(kind, Settings), "a table of fields"
 
     def read(path: str, value: Any) -> Any:

@@ -1,13 +1,13 @@
-"""Signals that ask a process to end, as an exception: what must be left in order is left so on the way out."""
+"""Termination signals as an exception, which cleans up on the way out of the program."""
 
 from __future__ import annotations
 
 
 class Ended(BaseException):
-    """A signal asks this process to end.
+    """A signal requests the end of this process.
 
     Attributes:
-        number: of the signal.
+        number: number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -16,5 +16,5 @@ class Ended(BaseException):
 
 
 def end_by_signal(number: int, frame: object) -> None:
-    """Handler of signals that raises `Ended`."""
+    """Raise `Ended`; install this as the handler of a signal."""
     raise Ended(number)

@@ -1,8 +1,8 @@
-"""Rewards and keys of `info` of a step that may have run several primitives.
+"""Rewards and `info` keys of a step that may have run several primitives.
 
-`OptionsEnv` writes these keys; learners, and a level of options above, read them. Other environments may use the same
-names for something else. A key counts only together with the keys that belong to it and with a value of its kind;
-otherwise it is the environment's own.
+`OptionsEnv` writes these keys. Agents, and levels of options above, read them. Other environments may use the same
+names for other values. A key is therefore only read together with the keys that belong to it and with a value of its
+type.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hrl_escape.errors import DiscountMismatchError, StepContractError
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Values of `info["option"]["ended"]`."""
 FLOAT32_ROUNDING = 2.0**-23
-"""Relative rounding of float32, the dtype of rewards in some wrappers and vector environments."""
+"""Relative rounding error of float32, the dtype of rewards in some wrappers and vector environments."""
 CHANGED = (
     "the reward {where} is {reward:g}, but its primitives paid {summed:g} in sum: a wrapper above OptionsEnv changed "
     "it, where it does not reach the rewards inside options. Put the wrapper below, as in "
@@ -31,17 +31,17 @@ CHANGED = (
 class Payment(NamedTuple):
     """Rewards of one step."""
 
-    duration: int  # k >= 1, primitives that ran
+    duration: int  # k >= 1, number of primitives
     summed: float  # undiscounted sum of their rewards
-    rewards: tuple[float, ...] | None  # one a primitive; None where the step does not give them
-    discounted: float | None  # sum over i < k of gamma^i r_i, where given
-    discount: float | None  # gamma^k, where given
+    rewards: tuple[float, ...] | None  # one per primitive, or None if the step does not give them
+    discounted: float | None  # sum over i < k of gamma^i r_i, if given
+    discount: float | None  # gamma^k, if given
 
     def compute_discounted(self, gamma: float) -> float:
         """Return the sum over i < k of gamma^i r_i.
 
         Raises:
-            DiscountMismatchError: the step gives it for another gamma, and no primitive rewards.
+            DiscountMismatchError: the step gives it for another gamma, without the rewards of primitives.
         """
         if self.discounted is not None and self.discount is not None and is_discount(self.discount, gamma,
                                                                                      self.duration):
@@ -61,7 +61,7 @@ def is_discount(discount: float, gamma: float, duration: int) -> bool:
 
 
 def is_decision(info: Mapping[str, Any]) -> bool:
-    """Return whether `info` has a duration, and the rewards of that many primitives or their discounted sum."""
+    """Return whether `info` has a duration with the rewards of that many primitives or their discounted sum."""
     return "duration" in info and (_has_rewards(info) or ("discounted_reward" in info and "discount" in info))
 
 
@@ -72,7 +72,7 @@ def _has_rewards(info: Mapping[str, Any]) -> bool:
 
 
 def read_duration(info: Mapping[str, Any], where: str = "of a step") -> int:
-    """Read the number of primitives that a step ran: 1 where `info` says nothing of it.
+    """Return the number of primitives of a step; 1 if `info` does not give it.
 
     Raises:
         StepContractError: it is not a whole number of at least 1, or it is above 1 without the keys for rewards.
@@ -99,17 +99,17 @@ def read_duration(info: Mapping[str, Any], where: str = "of a step") -> int:
 
 
 def read_payment(reward: Any, info: Mapping[str, Any], where: str = "of a step") -> Payment:
-    """Read the rewards of a step.
+    """Return the rewards of a step.
 
     Args:
-        reward: as `step` returned it, the sum of the rewards of its primitives or their discounted sum.
-        info: of the same step. Where it is a decision's, `rewards`, `summed_reward`, `discounted_reward` and `discount`
-            count; see `OptionsEnv`.
-        where: the step, for messages, such as `of action 3`.
+        reward: reward that `step` returned: the sum of the rewards of its primitives, or their discounted sum.
+        info: info of the same step. If it describes a decision, `rewards`, `summed_reward`, `discounted_reward` and
+            `discount` are read; see `OptionsEnv`.
+        where: the step in messages, such as `of action 3`.
 
     Raises:
         StepContractError: a reward is not a single finite number, the rewards do not match the duration, or `reward`
-            is neither of the two sums: a wrapper changed it after its primitives were summed.
+            equals neither sum, because a wrapper changed it after summation.
     """
     given = read_number(reward, f"the reward {where}")
     duration = read_duration(info, where) if "duration" in info else 1
@@ -134,27 +134,27 @@ def read_payment(reward: Any, info: Mapping[str, Any], where: str = "of a step")
 
 
 def is_same(reward: float, paid: float, duration: int, scale: float = 0.0) -> bool:
-    """Return whether a reward is a sum of that many rewards, up to the rounding of float32.
+    """Return whether a reward is a sum of a number of rewards, up to the rounding of float32.
 
     Args:
         reward: the reward.
         paid: the sum.
         duration: number of rewards in the sum.
-        scale: sum of their absolute values, where known.
+        scale: sum of their absolute values, if known.
     """
     return abs(reward - paid) <= FLOAT32_ROUNDING * duration * max(scale, abs(paid))
 
 
 def read_number(value: Any, what: str) -> float:
-    """Read a single finite number. Raises `StepContractError`, which calls it `what`, for anything else."""
+    """Return a single finite number. Raises `StepContractError`, with `what` in its message, for anything else."""
     if type(value) is not float:
         try:
             array = np.empty(0) if value is None else np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError, RuntimeError):
             array = np.empty(0)
         if array.size != 1:
-            raise StepContractError(f"{what} is {value!r}; rewards must be numbers, one a step. Where an environment "
-                                    "returns several, weigh them in a wrapper below, such as TransformReward")
+            raise StepContractError(f"{what} is {value!r}; rewards must be numbers, one per step. If the environment "
+                                    "returns several, combine them in a wrapper below, such as TransformReward")
         value = float(array.item())
     if not math.isfinite(value):
         raise StepContractError(f"{what} is {value}; rewards must be finite numbers")
@@ -164,13 +164,13 @@ def read_number(value: Any, what: str) -> float:
 def _read_each(rewards: Any, duration: int, what: str) -> tuple[float, ...]:
     """Rewards of the primitives. Raises `StepContractError`."""
     if len(rewards) != duration:
-        raise StepContractError(f"{what} has {len(rewards)} entries for a duration of {duration}; it must have one a "
+        raise StepContractError(f"{what} has {len(rewards)} entries for a duration of {duration}; it must have one per "
                                 "primitive")
     return tuple(read_number(each, f"{what} has an entry that") for each in rewards)
 
 
 def read_option(info: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return `info["option"]` where it is that of `OptionsEnv`, with one of `ENDINGS` as `ended`; else None."""
+    """Return `info["option"]` if `OptionsEnv` wrote it, with one of `ENDINGS` as `ended`; otherwise None."""
     option = info.get("option")
     if not isinstance(option, Mapping):
         return None
@@ -179,7 +179,7 @@ def read_option(info: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def read_trace(info: Mapping[str, Any], duration: int) -> Sequence[Any]:
-    """Return `info["trace"]` where it has tuples of at least four fields, one a primitive; else nothing."""
+    """Return `info["trace"]` if it has a tuple of at least four fields per primitive; otherwise an empty sequence."""
     trace = info.get("trace")
     if not isinstance(trace, (tuple, list)) or not all(isinstance(step, tuple) and len(step) >= 4 for step in trace):
         return ()
@@ -188,10 +188,10 @@ def read_trace(info: Mapping[str, Any], duration: int) -> Sequence[Any]:
 
 
 def read_share(info: Mapping[str, Any], name: str) -> float | None:
-    """Read a number from 0 to 1 of `info`; None if the key is absent or holds another kind of value.
+    """Return a number from 0 to 1 in `info`, or None if the key is absent or has a value of another type.
 
     Raises:
-        StepContractError: it is another number.
+        StepContractError: the number is not from 0 to 1.
     """
     value = info.get(name)
     if not isinstance(value, numbers.Real):

@@ -1,4 +1,4 @@
-"""The version of hrl_escape, and those of what else decides its numbers."""
+"""The version of hrl_escape, and the versions of other software that affects its numbers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ LIBRARIES = ("gymnasium", "numpy", "scipy", "numba", "torch", "torchrl", "pybull
 
 @functools.cache
 def find_versions() -> dict[str, str]:
-    """Versions of the libraries that decide numbers, and of installed packages with agents, puzzles or observations."""
-    from importlib.metadata import entry_points  # takes a tenth of the package's import
+    """Return the versions of libraries that affect numbers, and of installed packages with plugins."""
+    from importlib.metadata import entry_points  # imported here: it takes a tenth of the package's import
 
     points = entry_points()
     groups = [group for group in points.groups if group.startswith("hrl_escape.")]

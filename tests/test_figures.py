@@ -15,5 +15,5 @@ def test_pictures_are_told_by_their_endings(name):
 
 @pytest.mark.parametrize("name", ["plan", "plan.jpg", "svg", "plan.svg.txt", ".svg", "escape.gif"])
 def test_other_names_are_refused(name):
-    with pytest.raises(UnsupportedError, match=f"^{name}: a picture's name must end in .png, .svg, .pdf$"):
+    with pytest.raises(UnsupportedError, match=f"^{name}: the name of a picture must end in .png, .svg, .pdf$"):
         check_picture_name(Path(name))

@@ -113,7 +113,7 @@ def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_
 
 def test_a_folder_in_the_way_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
-    with pytest.raises(FileWriteError, match=r"cannot write .*file/x\.json.*choose a folder"):
+    with pytest.raises(FileWriteError, match=r"cannot write .*file/x\.json.*choose a writable folder"):
         write_json(tmp_path / "file" / "x.json", 1)
     with pytest.raises(FileWriteError, match="cannot write"):
         write_bytes(tmp_path, b"x")
@@ -166,8 +166,8 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     ("[" * 10**6 + "]" * 10**6, "nested more than 100 levels deep"),
     ('{"a":' * 150 + "1" + "}" * 150, "nested more than 100 levels deep"),
     ("7" * 5_000, "a number of thousands of digits"),
-    ('{"a": NaN}', "NaN is no number"),
-    ("[-Infinity]", "-Infinity is no number"),
+    ('{"a": NaN}', "NaN is not a JSON number"),
+    ("[-Infinity]", "-Infinity is not a JSON number"),
 ])
 def test_extreme_json_is_refused_in_words(tmp_path, text, words):
     (tmp_path / "x.json").write_text(text)
@@ -200,7 +200,7 @@ def test_a_file_that_grows_is_never_written_through_a_link(tmp_path):
     for name, target in (("link", "target"), ("dangling", "no-such-file")):
         (tmp_path / name).symlink_to(tmp_path / target)
         for mode in ("ab", "wb"):
-            with pytest.raises(FileWriteError, match="it is a link, and only plain files are written"):
+            with pytest.raises(FileWriteError, match="it is a link. Choose the path of a plain file"):
                 open_for_writing(tmp_path / name, mode)
     assert (tmp_path / "target").read_text() == "mine" and not (tmp_path / "no-such-file").exists()
 

@@ -1,4 +1,4 @@
-"""Rooms: room configurations, instances, engines and environments. Knows no planner, option or agent."""
+"""Rooms: room configurations, instances, engines and environments. Imports no planner, option or agent."""
 
 import lazy_loader
 

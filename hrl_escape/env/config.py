@@ -1,9 +1,9 @@
-"""The room configuration: a `RoomConfig` describes a distribution over rooms (Menashe and Stone 2019, section 4).
+"""Room configurations: a `RoomConfig` describes a distribution over rooms (Menashe and Stone 2019, section 4).
 
-Every field has a unit, a range and a default; impossible values raise `ConfigError` naming field, value and what is
-allowed. Lengths are metres; angles are degrees here only, in fields whose name ends in `_deg`. A room sampled from a
-room configuration is a `RoomInstance`. Numbers of the floor plan, obstacles, start, exit and puzzle may be ranges,
-`Between(3, 5)`, from which each instance draws.
+Every field has a unit, a range and a default. Invalid values raise `ConfigError`, which names the field, its value and
+the valid values. Lengths are in metres. Fields whose name ends in `_deg` are in degrees; all other angles are in
+radians. `generate` samples a `RoomInstance` from a room configuration. Numbers of the floor plan, obstacles, start,
+exit and puzzle may be ranges, such as `Between(3, 5)`; each instance draws a value from them.
 """
 
 from __future__ import annotations
@@ -26,37 +26,38 @@ __all__ = ["CONTACT_SKIN", "PASSAGE_SLACK", "Between", "DynamicsConfig", "ExitCo
            "RewardConfig", "RobotConfig", "RoomConfig", "ShapeConfig", "StartConfig", "Wall", "compute_resolution"]
 
 CONTACT_SKIN = 1e-3
-"""Clearance that the body keeps from every solid, m."""
+"""Clearance between the body and every solid, m."""
 
 PASSAGE_SLACK = 0.15
-"""Free width on each side of the body, m, in every passage that a room's certificate relies on,
-so that whole primitives find their way through."""
+"""Free width on each side of the body, m, in every passage that the certificate of a room relies on.
+
+It leaves enough space for motions made of whole primitives."""
 
 FINEST_CELL = 0.1
 MOST_CELLS_A_SIDE = 800
 
 
 def compute_resolution(half_x: float, half_y: float) -> float:
-    """Cell size in metres of the certificate's grid over a floor of given half sizes."""
+    """Return the cell size, m, of the certificate's grid over a floor of the given half sizes, m."""
     return max(FINEST_CELL, 2 * max(half_x, half_y) / MOST_CELLS_A_SIDE)
 
 
 @dataclasses.dataclass(frozen=True)
 class Wall(HashedSettings):
-    """An explicit interior wall, straight from one place to another along x or y."""
+    """An explicit interior wall, straight along x or y."""
 
     _section = "wall"
     x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """First end, along x."""
+    """x of the first end."""
     y: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """First end, along y."""
+    """y of the first end."""
     to_x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Other end, along x; equal to `x` for a wall along y."""
+    """x of the other end; equal to `x` for a wall along y."""
     to_y: Annotated[float, Range(-110, 110, "m")] = 1.0
-    """Other end, along y; equal to `y` for a wall along x."""
+    """y of the other end; equal to `y` for a wall along x."""
 
     def check(self) -> None:
-        """Check that it has one direction."""
+        """Check that the wall is parallel to x or y."""
         if (self.x == self.to_x) == (self.y == self.to_y):
             raise ConfigError("wall", (self.x, self.y, self.to_x, self.to_y), "two places on one line along x or y")
 
@@ -76,18 +77,18 @@ class ShapeConfig(HashedSettings):
     wall_thickness: Annotated[float, Range(0.02, 2, "m")] = 0.2
     """Thickness of all walls."""
     rooms: Annotated[int, Range(1, 16)] = 1
-    """Number of rooms into which interior walls divide the floor."""
+    """Number of rooms that interior walls split the floor into."""
     doorway_width: Annotated[float, Range(0.2, 50, "m")] = 2.5
     """Width of the doorway in each interior wall."""
     cell: Annotated[float, Range(0.5, 20, "m")] = 1.0
-    """Side of the cells of a grid world: of `map`, and of starts in cells."""
+    """Side of the cells of a grid world. Used by `map` and by starts in cells."""
     map: tuple[str, ...] = ()
-    """Rows of a grid world from the top, one character a cell: # is wall, anything else floor."""
+    """Rows of a grid world from the top, one character per cell: # is wall, anything else is floor."""
     walls: tuple[Wall, ...] = ()
-    """Interior walls at given places, besides those that `rooms` generates."""
+    """Interior walls at given places, added to the walls that `rooms` generates."""
 
     def check(self) -> None:
-        """Check that the map is as large as the floor."""
+        """Check that the map covers the floor exactly."""
         if self.map:
             wide = {len(row) for row in self.map}
             if wide != {round(self.width / self.cell, 9)} or len(self.map) != round(self.depth / self.cell, 9):
@@ -109,33 +110,33 @@ class RobotConfig(HashedSettings):
     joints: Annotated[int, Range(0, 7)] = 0
     """Number of arm joints that primitives move (the first ones of a named arm)."""
     link_length: Annotated[float, Range(0.01, 20, "m")] = 0.5
-    """Length of each link of the generated arm."""
+    """Length of each link of the generated arm. Longer links reach targets from further away."""
     mount_forward: Annotated[float, Range(-5, 5, "m")] = 0.0
     """Offset of the arm's mount ahead of the base's axis."""
     joint_limit_deg: Annotated[float, Range(0, 180, "deg", open_low=True)] = 60.0
-    """Largest angle of the generated arm's joints, to either side."""
+    """Largest angle of the generated arm's joints in each direction."""
     hand_radius: Annotated[float, Range(0.001, 1, "m")] = 0.05
-    """Radius of the hand, the sphere at the end of the last link that presses."""
+    """Radius of the hand, the sphere at the end of the last link that presses targets."""
     move_step: Annotated[float, Range(0, 20, "m", open_low=True)] = 1.0
-    """Distance of one forward, back or strafe primitive."""
+    """Distance of one forward, back or strafe primitive. Smaller steps make episodes longer."""
     turn_step_deg: Annotated[float, Range(1, 180, "deg")] = 10.0
-    """Angle of one turn primitive; must divide 360."""
+    """Angle of one turn primitive; must divide 360. Smaller steps allow more headings."""
     joint_step_deg: Annotated[float, Range(0.1, 180, "deg")] = 10.0
     """Angle of one joint primitive."""
     urdf: str | None = None
     """URDF text of the user's arm (kind 'urdf'); see `load_urdf`."""
     hand_link: str | None = None
-    """Link of the URDF whose origin is the hand (default: the last link)."""
+    """Link of the URDF whose origin is the hand; the last link if empty."""
     gripper: bool = False
-    """Adds the primitives grip and release, for puzzles in which things are picked up."""
+    """Adds the primitives grip and release, for puzzles with things that the robot can carry."""
     use: bool = False
-    """Adds the primitive use, for puzzles in which things ahead are opened and shut (needs `gripper`)."""
+    """Adds the primitive use, which opens and shuts things ahead. Requires `gripper`."""
     drive: DriveKind = "strafing"
-    """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
+    """Holonomic bases move along and across their heading; differential ones move along it and turn on the spot."""
     moves: tuple[Move, ...] = ()
-    """Primitives of the base in addition to those of its drive."""
+    """Additional primitives of the base, each with its own displacement and turn."""
     footprint: str = "disc"
-    """Outline of the base on the floor, centred on its axis: a disc, which turns anywhere, or a rectangle."""
+    """Outline of the base on the floor, centred on its axis: a disc or a rectangle."""
     body_length: Annotated[float, Range(0.1, 10, "m")] = 1.2
     """Size of a rectangular base along its heading."""
     body_width: Annotated[float, Range(0.1, 10, "m")] = 0.8
@@ -143,27 +144,27 @@ class RobotConfig(HashedSettings):
 
     @property
     def base(self) -> Base:
-        """Base of this robot, without clearance."""
+        """Outline of the base, without clearance."""
         return _measure_base(self)
 
     @property
     def inner_radius(self) -> float:
-        """Radius of the largest disc round the axis within the base, m: where it does not fit, no heading helps."""
+        """Radius, m, of the largest disc inside the base. Where it does not fit, the base collides at every heading."""
         return self.base.inner_radius
 
     @property
     def outer_radius(self) -> float:
-        """Radius of the smallest disc round the axis that holds the base, m: where it fits, any heading does."""
+        """Radius, m, of the smallest disc that encloses the base. Where it fits, the base is clear at every heading."""
         return self.base.outer_radius
 
     @property
     def symmetry(self) -> int:
-        """Number of headings, evenly spread over a full turn, at which the base covers and moves the same."""
+        """Number of evenly spaced headings with the same outline and the same moves."""
         return math.gcd(self.actions.symmetry, self.base.symmetry)
 
     @property
     def actions(self) -> ActionTable:
-        """Primitives of this robot."""
+        """Table of the robot's primitives."""
         return make_action_table(self.joints, self.gripper, self.drive, self.use, self.move_step, self.moves)
 
     def check(self) -> None:
@@ -196,14 +197,14 @@ def _measure_base(robot: RobotConfig) -> Base:
 
 @dataclasses.dataclass(frozen=True)
 class ObstaclesConfig(HashedSettings):
-    """Boxes and cylinders on the floor; they may touch each other but never block the way."""
+    """Boxes and cylinders on the floor. They may touch, but never block the way to a target or the exit."""
 
     _section = "obstacles"
     _takes_ranges = True
     count: Annotated[int, Range(0, 200)] = 0
     """Number of obstacles that generation places."""
     cylinder_share: Annotated[float, Range(0, 1)] = 0.5
-    """Share of cylinders among them; the rest are boxes."""
+    """Share of cylinders among the obstacles; the rest are boxes."""
     size_min: Annotated[float, Range(0.05, 50, "m")] = 0.5
     """Smallest side or diameter."""
     size_max: Annotated[float, Range(0.05, 50, "m")] = 2.0
@@ -211,7 +212,7 @@ class ObstaclesConfig(HashedSettings):
     height: Annotated[float, Range(0.05, 50, "m")] = 1.0
     """Height of all obstacles."""
     aligned: bool = False
-    """Boxes stand parallel to the walls instead of at a random yaw."""
+    """If true, boxes are parallel to the walls; otherwise their yaw is random."""
 
     def check(self) -> None:
         """Check the limits that relate several fields."""
@@ -222,20 +223,20 @@ class ObstaclesConfig(HashedSettings):
 
 @dataclasses.dataclass(frozen=True)
 class StartConfig(HashedSettings):
-    """Start of episodes: fixed here, or sampled with the instance among connected free places."""
+    """Start pose of episodes: fixed, or sampled among free places that are connected to the targets and the exit."""
 
     _section = "start"
     _takes_ranges = True
     place: Literal["random", "fixed", "cells"] = "random"
-    """Sampled with the instance, fixed at x, y, heading_deg, or in the middle of any free cell of the grid."""
+    """How start poses are chosen: sampled with the instance, fixed at x, y and heading_deg, or any free grid cell."""
     x: Annotated[float, Range(-100, 100, "m")] = 0.0
-    """Start position along x, where `place` is fixed."""
+    """Start position along x, for a fixed place."""
     y: Annotated[float, Range(-100, 100, "m")] = 0.0
-    """Start position along y, where `place` is fixed."""
+    """Start position along y, for a fixed place."""
     heading_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
     """Fixed start heading, 0 along +x, counter-clockwise."""
     choices: Annotated[int, Range(1, 10_000)] = 1
-    """Number of random start poses in an instance; the episode seed picks one."""
+    """Number of random start poses per instance; the episode seed selects one. More of them make starts more varied."""
 
     def check(self) -> None:
         """Check the limits that relate several fields."""
@@ -250,7 +251,7 @@ class ExitConfig(HashedSettings):
     _section = "exit"
     _takes_ranges = True
     place: Literal["random", "fixed"] = "random"
-    """Against a random outer wall, or fixed at x, y."""
+    """Where the exit is: against a random outer wall, or fixed at x, y."""
     x: Annotated[float, Range(-110, 110, "m")] = 0.0
     """Centre of a fixed exit along x."""
     y: Annotated[float, Range(-110, 110, "m")] = 0.0
@@ -260,29 +261,30 @@ class ExitConfig(HashedSettings):
     depth: Annotated[float, Range(0.1, 200, "m")] = 2.0
     """Size along y (with a door: away from the wall)."""
     door: bool = False
-    """The exit is an alcove behind the outer wall, shut by a door until solved."""
+    """If true, the exit is an alcove behind the outer wall, closed by a door until the puzzle is solved."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsConfig(HashedSettings):
-    """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
+    """Dynamics: exact kinematics or rigid-body physics, noise, slips, and the part of the robot that presses."""
 
     _section = "dynamics"
     kind: Literal["kinematic", "physics"] = "kinematic"
-    """Exact kinematics or rigid-body physics."""
+    """Exact kinematics, or rigid-body physics in Bullet. Physics is slower and makes contacts less predictable."""
     press_with: Literal["body", "hand"] = "body"
     """Part of the robot that presses buttons."""
     press_margin: Annotated[float, Range(0, 1, "m")] = 0.02
-    """Distance from a button's box within which it counts as touched."""
+    """Distance from a button's box within which the button counts as touched. Larger values make pressing easier."""
     noise: Annotated[float, Range(0, 1)] = 0.0
-    """Standard deviation of the relative error of every displacement."""
+    """Standard deviation of the relative error of every displacement. 0 makes primitives exact."""
     slip: Annotated[float, Range(0, 1, open_high=True)] = 0.0
-    """Probability that a primitive does nothing, or a move goes elsewhere."""
+    """Probability that a primitive slips: it does nothing, or a move goes elsewhere (`slip_kind`)."""
     slip_kind: SlipKind = "stay"
-    """A primitive that slips does nothing, or a move goes to either side, to either side unless it is blocked ahead, in
-    any of the three other directions, or to a free neighbour."""
+    """Effect of a slip: the primitive does nothing, or a move goes to either side, to either side if it is not blocked
+    ahead, in any of the other three directions, or to a free neighbouring cell."""
     blocked: Literal["contact", "stay"] = "contact"
-    """A blocked move ends at contact, or is not made at all: robots then stay on the lattice of their moves."""
+    """Effect of a blocked move: the base moves up to contact, or stays in place. If it stays, it remains on the lattice
+    of its moves."""
 
     def check(self) -> None:
         """Check that physics leaves `blocked` and `slip_kind` at their defaults."""
@@ -292,13 +294,13 @@ class DynamicsConfig(HashedSettings):
 
     @property
     def is_random(self) -> bool:
-        """True if primitives are noisy or may slip."""
+        """True if primitives are noisy or can slip."""
         return bool(self.noise or self.slip)
 
 
 @dataclasses.dataclass(frozen=True)
 class RoomConfig(HashedSettings):
-    """A room configuration: everything `generate(config, seed)` needs to sample room instances.
+    """A room configuration: everything that `generate(config, seed)` needs to sample room instances.
 
     Example:
         >>> config = RoomConfig(puzzle=ButtonsConfig(count=3), obstacles=ObstaclesConfig(count=10))
@@ -307,25 +309,25 @@ class RoomConfig(HashedSettings):
 
     _section = "config"
     name: str = "custom"
-    """Name shown in reports."""
+    """Name of the room configuration in reports."""
     room: ShapeConfig = ShapeConfig()
     """Floor plan: size, interior walls, doorways."""
     robot: RobotConfig = RobotConfig()
-    """Robot: base, arm, and the size of its primitives."""
+    """Robot: base, arm, and sizes of its primitives."""
     puzzle: PuzzleConfig = ButtonsConfig()
-    """Rules that open the exit; `kind` names them in JSON."""
+    """Puzzle that opens the exit; `kind` names it in JSON."""
     obstacles: ObstaclesConfig = ObstaclesConfig()
     """Obstacles on the floor: boxes and cylinders."""
     start: StartConfig = StartConfig()
     """Start pose of episodes."""
     exit: ExitConfig = ExitConfig()
-    """Exit: the region on the floor in which an episode ends."""
+    """Exit: the region on the floor where an episode ends once the puzzle is solved."""
     reward: RewardConfig = RewardConfig()
     """Reward of each primitive and of the exit; `kind` names it in JSON."""
     dynamics: DynamicsConfig = DynamicsConfig()
-    """Effect of the primitives: kinematic or rigid-body, noise and slip."""
+    """Dynamics of the primitives: kinematic or physical, noise and slips."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
-    """Primitives after which an episode is truncated."""
+    """Largest number of primitives in an episode, which is then truncated."""
 
     def check(self) -> None:
         """Check the limits that relate several sections."""

@@ -1,4 +1,4 @@
-"""The Escape Room with velocities for actions: the same rooms and rules, a step of time in place of a primitive."""
+"""The Escape Room with velocities as actions: the same rooms and rules, with time steps instead of primitives."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from hrl_escape.errors import ConfigError
 
 
 class EscapeRoomContinuousEnv(EscapeRoomEnv):
-    """The rooms of `EscapeRoomEnv` for agents that choose velocities.
+    """The rooms of `EscapeRoomEnv` with velocities as actions.
 
     ## Action space
-    `Box`, float32, in this order; numbers beyond the bounds are clipped:
+    `Box`, float32, in this order. Values beyond the bounds are clipped:
 
     | number | unit | bound |
     |---|---|---|
@@ -32,33 +32,32 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
     | gripper, where the robot has one: above 1/2 it grips, below -1/2 it releases | | 1 |
     | use, where the robot has it: above 1/2 it uses, unless the gripper acts | | 1 |
 
-    In a step the base goes straight, along its heading in the middle of the turn, until its first contact, which is
-    exact; then it turns on the spot. Joints stop at their limits. Under physics all of it moves at once in Bullet.
-    A touch counts if it is there at the end of a step. Then the hand acts, as the primitive of that name would from
-    there; a level that is held asks anew in each step. A thing in the way of the base is pushed, where things can be,
-    as a move from the place of contact to the nearest of the map's four sides would push it; if that does not let the
-    base through, nothing moves.
+    In one step the base moves straight until its first contact, in the direction of its heading half-way through the
+    turn, and then turns on the spot. Joints stop at their limits. Under physics, Bullet moves everything at once. A
+    touch counts if it exists at the end of the step. The hand acts last, with the effect of the primitive of that name;
+    a value that is held acts again in each step. If things can be pushed, the base pushes a thing in its way
+    like a move in the nearest of the map's four directions. If that does not free the way, nothing moves.
 
     ## Rewards
-    A second costs what a primitive does (`reward.step`, -1 by default), so a step costs `time_step` of it. Puzzles and
-    the exit pay what they pay there, an act of the hand each time; where the exit's reward replaces the step's, it is
-    more by what a primitive costs beyond a step.
+    The cost of a primitive (`reward.step`, -1 by default) is charged per second: a step costs `time_step` of it.
+    Puzzles and the exit pay the same amounts as in `EscapeRoomEnv`, and an act of the hand its full amount. If the
+    reward of the exit replaces that of the step, the difference in cost between a primitive and a step is added.
 
     ## Episode end
     As in `EscapeRoomEnv`; `truncated` after `time_limit` seconds.
 
     ## Information
-    `info` has `seconds` since the episode began and `time_step`, in place of `primitives`.
+    `info` has `seconds` since the episode began and `time_step`, instead of `primitives`.
 
     ## Arguments
     Args:
-        config: as in `EscapeRoomEnv`, as are all that follow `time_limit`.
-        time_step: s; under physics in whole sub-steps of 1/240 s.
+        config: as in `EscapeRoomEnv`, as are all arguments after `time_limit`.
+        time_step: duration of a step, s; under physics a multiple of 1/240 s.
         speed: largest speed of the base along each of its axes, m/s.
-        turn_speed: rad/s.
-        joint_speed: rad/s.
-        time_limit: s; None for as many seconds as the room's horizon has primitives. Those of rooms from cell to cell
-            are moves of 2 m or more: raise the one or `speed`.
+        turn_speed: largest turn speed of the base, rad/s.
+        joint_speed: largest speed of each joint, rad/s.
+        time_limit: s, or None for as many seconds as the horizon has primitives. In grid worlds a move covers 2 m or
+            more: raise `time_limit` or `speed` there.
 
     Attributes:
         velocities: bounds, time step and time limit.
@@ -79,14 +78,14 @@ class EscapeRoomContinuousEnv(EscapeRoomEnv):
         return self.velocities.count_steps(self.instance.horizon)
 
     def describe(self) -> dict[str, Any]:
-        """As in `EscapeRoomEnv`, and the numbers of this one."""
+        """Return the description of `EscapeRoomEnv` with velocities and times added."""
         return super().describe() | dataclasses.asdict(self.velocities)
 
     def step(self, action: NDArray[Any]) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:  # type: ignore[override]
-        """Move for one step of time; returns Gymnasium's five values.
+        """Move for one time step. Returns (observation, reward, terminated, truncated, info).
 
         Raises:
-            ConfigError: the action is not as many finite numbers as the action space has.
+            ConfigError: the action has the wrong shape, or a number that is not finite.
         """
         state, room = self._require_episode()
         try:

@@ -1,4 +1,4 @@
-"""Thousands of Escape Rooms with velocities for actions as one Gymnasium `VectorEnv` over the batched engine."""
+"""Thousands of Escape Rooms with velocities as actions as one Gymnasium `VectorEnv` over the batched engine."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from hrl_escape.env.velocities import Velocities
 
 
 class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
-    """The rooms of `EscapeRoomVectorEnv` for agents that choose velocities, as `EscapeRoomContinuousEnv` has them.
+    """The rooms of `EscapeRoomVectorEnv` with the velocities of `EscapeRoomContinuousEnv` as actions.
 
-    Actions are float (num_envs, numbers), clipped to the bounds of the action space: a list, an array, or a tensor on
-    the device. `infos` has `seconds` since each episode began, float64, and `time_step`, in place of `primitives`.
+    Actions are floats (num_envs, numbers), clipped to the bounds of the action space: a list, an array, or a tensor on
+    the device. `infos` has `seconds` since each episode began, float64, and `time_step`, instead of `primitives`.
 
     ## Arguments
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one; kinematic dynamics only.
-        time_step: s.
+        time_step: duration of a step, s.
         speed: largest speed of the base along each of its axes, m/s.
-        turn_speed: rad/s.
-        joint_speed: rad/s.
-        time_limit: s; None for as many seconds as the room's horizon has primitives.
+        turn_speed: largest turn speed of the base, rad/s.
+        joint_speed: largest speed of each joint, rad/s.
+        time_limit: s, or None for as many seconds as the room's horizon has primitives.
         settings: all other arguments of `EscapeRoomVectorEnv`.
 
     Attributes:
@@ -58,7 +58,7 @@ class EscapeRoomContinuousVectorEnv(EscapeRoomVectorEnv):
             EscapeRoomContinuousEnv(**self.rooms.list_single_arguments(), **dataclasses.asdict(self.velocities)))
 
     def describe(self) -> dict[str, Any]:
-        """As in `EscapeRoomVectorEnv`, and the numbers of this one."""
+        """Return the description of `EscapeRoomVectorEnv` with velocities and times added."""
         return super().describe() | dataclasses.asdict(self.velocities)
 
     def _tell_time(self, info: RoomInfo) -> dict[str, Tensor]:

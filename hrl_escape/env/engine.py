@@ -1,8 +1,7 @@
-"""The door to the engines: the protocols that an engine and its renderer fulfil, and the factory that makes them.
+"""Engines: the protocols of an engine and its renderer, and the factory that makes them.
 
-An engine makes one room move; `EscapeRoomEnv` runs on one. `engines.register`
-adds one; the modules that its entry names are imported when first used. Batches of rooms are in
-`vector_env.py` and `torchrl_env.py`.
+An engine moves one room; `EscapeRoomEnv` runs on it. `engines.register` adds an engine, whose modules are imported when
+they are first used. Batches of rooms are in `vector_env.py` and `torchrl_env.py`.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ CAMERAS: dict[str, str] = {
 
 
 LARGEST_SIDE = 2048
-"""Most pixels along a side of a picture."""
+"""Largest side of a picture, pixels."""
 
 
 class Engine(Protocol):
-    """One room that moves.
+    """Protocol of an engine: one room that moves.
 
     Attributes:
         instance: the room.
-        rules: its rules; `rules.actions` is the action table.
-        state: the state now; it is immutable, so to keep it is to save it.
+        rules: the rules of the room; `rules.actions` is the action table.
+        state: current state, immutable; keeping a reference saves it.
     """
 
     instance: RoomInstance
@@ -44,39 +43,39 @@ class Engine(Protocol):
     state: RoomState
 
     def reset(self, start: Start, noise_key: int = 0) -> RoomState:
-        """Begin an episode at a start, with the 64-bit key of its noise."""
+        """Begin an episode at a start with a 64-bit key for its noise."""
         ...
 
     def set_state(self, state: RoomState) -> None:
-        """Continue from a state; stepping from it is identical to stepping from the original."""
+        """Continue from a state, exactly as the engine that returned it."""
         ...
 
     def step(self, action: int) -> Transition:
-        """Apply one primitive, a number of `rules.actions` that is not checked here."""
+        """Apply one primitive, an index of `rules.actions` that the engine does not check."""
         ...
 
     def glide(self, motion: Glide) -> Transition:
-        """Apply a short motion in continuous coordinates in place of a primitive."""
+        """Apply a short motion in continuous coordinates instead of a primitive."""
         ...
 
     def show(self, rate: float) -> None:
-        """Keep the window watchable: wait until 1 / `rate` seconds after the last call."""
+        """Limit the window to `rate` frames a second: wait until 1 / `rate` seconds after the last call."""
         ...
 
     def close(self) -> None:
-        """Free everything; safe to call twice."""
+        """Free all resources. Further calls have no effect."""
         ...
 
 
 class Renderer(Protocol):
-    """Renderer of one room."""
+    """Protocol of a renderer of one room."""
 
     def render(self, state: RoomState, camera: str, width: int, height: int, *,
                trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
         """Take a picture of the room in a state.
 
         Args:
-            state: as the room's engine gives it.
+            state: a state of the room's engine.
             camera: a name in `CAMERAS`.
             width: pixels, from 8 to 2048.
             height: pixels, from 8 to 2048.
@@ -87,7 +86,7 @@ class Renderer(Protocol):
 
         Raises:
             UnknownNameError: no camera of that name.
-            ConfigError: an impossible size.
+            ConfigError: invalid size.
         """
         ...
 
@@ -107,12 +106,12 @@ engines.register(
 
 
 def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool = False) -> Engine:
-    """Make a room that moves; it begins an episode at the instance's first start.
+    """Make an engine for a room; it begins an episode at the first start of the instance.
 
     Args:
         instance: the room.
         engine: a name in `engines`.
-        window: open a window of the engine's own (needs a display).
+        window: open the engine's own window (needs a display).
 
     Raises:
         UnknownNameError: no engine of that name.
@@ -122,18 +121,18 @@ def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool 
 
 
 def make_renderer(instance: RoomInstance, engine: str = "bullet") -> Renderer:
-    """Make an engine's renderer of a room; it costs nothing until it renders."""
+    """Make a renderer of a room. It allocates resources with its first picture."""
     return resolve_name(engines.get(engine).renderer)(instance)
 
 
 def check_camera(camera: str) -> None:
-    """Raise `UnknownNameError` unless there is a camera of that name."""
+    """Raise `UnknownNameError` unless a camera of that name exists."""
     if not isinstance(camera, str) or camera not in CAMERAS:
         raise UnknownNameError("camera", camera, CAMERAS)
 
 
 def check_picture_size(width: int, height: int) -> None:
-    """Raise `ConfigError` unless pictures can be that large."""
+    """Raise `ConfigError` unless pictures can have that size."""
     for name, pixels in (("width", width), ("height", height)):
         if isinstance(pixels, bool) or not isinstance(pixels, (int, np.integer)) or not 8 <= pixels <= LARGEST_SIDE:
             raise ConfigError(f"render_size.{name}", pixels, f"a whole number from 8 to {LARGEST_SIDE} pixels")

@@ -1,8 +1,7 @@
 """The flat Escape Room as a Gymnasium environment over one engine.
 
-It shows one room instance to an agent: spaces, observations, rewards, rendering. The rules
-are `kinematics.py`, engines come from `engine.py`; temporally extended actions are added by
-`hrl_escape.options`.
+It presents one room instance to an agent: spaces, observations, rewards and rendering. `kinematics.py` holds the rules
+and `engine.py` the engines. `hrl_escape.options` adds temporally extended actions.
 """
 
 from __future__ import annotations
@@ -34,17 +33,16 @@ from hrl_escape.spaces import bound_episodes, keep_space, make_vector_space
 
 _EPISODE = ("_state", "_ended", "events", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed",
             "action_space", "observation_space")
-"""Attributes that a copy of an environment takes over."""
+"""Attributes that a copy of an environment keeps."""
 
 
 class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
-    """A robot is locked in a room; it must solve a puzzle to open the exit.
+    """A robot is locked in a room and must solve a puzzle to open the exit.
 
     ## Description
-    The Escape Room Domain of Menashe and Stone (2019). A wheeled base with an N-joint arm
-    moves in small primitives through a room with walls, obstacles and wall buttons that
-    depend on each other. Pressing a button counts only when its parents in a hidden graph
-    are on. Once the puzzle is solved, standing in the exit ends the episode.
+    The Escape Room Domain of Menashe and Stone (2019). A wheeled base with an N-joint arm moves in small primitives
+    through a room with walls, obstacles and wall buttons. Buttons depend on each other: a press counts only if the
+    parents of the button in a hidden graph are on. Once the puzzle is solved, reaching the exit ends the episode.
 
     ## Action space
     `Discrete`, one action for each primitive of the robot's `ActionTable`:
@@ -56,51 +54,53 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     | 4, 5 | turn left, right | 10 degrees |
     | then | for each joint: increment, decrement | 10 degrees |
 
-    A robot with `robot.drive = "differential"` has no strafes, and all later numbers are two less.
+    A robot with `robot.drive = "differential"` has no strafes, and all later numbers are smaller by two.
 
-    A move stops at first contact with 1 mm clearance and does not slide; a joint step that
-    would pass a limit does nothing.
+    A move stops at the first contact, 1 mm before it, and does not slide. A joint step that would exceed a limit has no
+    effect.
 
     ## Observation space
-    Chosen by name from the registry in `hrl_escape.env.observations`: `state` (the paper's vector), `features` (the
-    same in [-1, 1]), `egocentric` (ranges, bearings, lidar), `pixels` (84 x 84 RGB), and your own.
+    Chosen by name from the registry in `hrl_escape.env.observations`: `state` (the vector of the
+    paper), `features` (the same in [-1, 1]), `egocentric` (ranges, bearings, lidar), `pixels` (84 x 84 RGB), or a
+    registered one of your own.
 
     ## Rewards
-    -1 for every primitive, +100 more on the primitive that exits; some puzzles add their own.
+    -1 for every primitive, and +100 for the primitive that reaches the exit. Some puzzles add rewards.
 
     ## Starting state
-    One of the instance's start poses and one of the puzzle's first states, chosen by the episode seed; arm at home.
+    One of the instance's start poses and one of the puzzle's initial states, chosen by the episode seed. The arm is at
+    home.
 
     ## Episode end
-    `terminated` when the body's axis is inside the exit and the puzzle is solved (`is_success`), or where a puzzle
-    that can be failed has been; `truncated` after `horizon` primitives (1,000).
+    `terminated` when the body's axis is inside the exit and the puzzle is solved (`is_success`), or when a puzzle that
+    can fail has failed. `truncated` after `horizon` primitives (1,000).
 
     ## Information
-    `info` has `instance` (content hash), `primitives` (so far), `buttons_on` and `pressed` (int8, one a target: 1
-    if it is on, and if this primitive pressed it), `is_success`.
+    `info` has `instance` (content hash), `primitives` (so far), `is_success`, and int8 arrays with one entry per
+    target: `buttons_on` (1 if it is on) and `pressed` (1 if the latest primitive pressed it).
 
     ## Arguments
     Args:
         config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, its dict form, or the path of one saved as JSON, instead of `config`.
-        instance_seed: which instance of the room configuration (ignored with `instance`).
-        instances: a sequence of rooms of one room configuration, instead of `config`: the environment begins in the
-            first, and each reset draws one from the episode's stream. It may make them as they are asked for.
-        observation: a name that `hrl_escape.env.observations` lists.
+        instance: a `RoomInstance`, its dict form, or the path of a saved one, instead of `config`.
+        instance_seed: seed of the instance sampled from `config`; ignored with `instance`.
+        instances: a sequence of rooms of one room configuration, instead of `config`. The environment starts in the
+            first; each reset draws one from the random stream of episodes. The sequence can generate rooms lazily.
+        observation: name of a registered observation.
         render_mode: `rgb_array` or `human`.
         camera: `chase`, `overhead` or `robot`.
         render_size: width and height of frames in pixels.
         trail: draw the path of the episode into frames.
-        resample_instance: draw a new instance at every reset from the episode's stream.
-        engine: a name in `hrl_escape.env.engine.ENGINES`.
+        resample_instance: sample a new instance at every reset from the random stream of episodes.
+        engine: name of a registered engine.
 
-    `reset(options={"instance_seed": n})` moves to another instance of the room configuration, `{"instance_index": i}`
-    to a room of `instances`; `options={"state": state}` begins in a state given by `get_state`.
+    `reset(options=...)` accepts `{"instance_seed": n}` for another instance of the room configuration,
+    `{"instance_index": i}` for a room of `instances`, and `{"state": state}` to start in a state from `get_state`.
 
     The attribute `events` holds the `Events` of the latest primitive.
 
     ## Version history
-    v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
+    v1: the numbers of buttons do not reveal their order (`graph.relabel`). v0: first release.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
@@ -143,7 +143,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         else:
             instance = read_instance(instance)
         if resample_instance and self.config is None:
-            raise ConfigError("resample_instance", True, "false with a given instance: there is no room configuration")
+            raise ConfigError("resample_instance", True, "false with a given instance; pass config to sample rooms")
         self._kind, self._camera, self._size, self._engine = observation, camera, render_size, engine
         self._resample, self._trailing = resample_instance, trail
         self._trail: list[tuple[float, float]] = []
@@ -156,7 +156,6 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._enter(instance)
 
     def _enter(self, instance: RoomInstance) -> None:
-        """Build the engine, spaces and tables of an instance."""
         if self.room is not None:
             self.room.close()
         self.instance = instance
@@ -179,19 +178,19 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < count:
             raise ConfigError("reset options.instance_index", index, f"an index of one of {count} instances")
         self.instance_index = int(index)
-        instance = read_instance(self._instances[self.instance_index])  # type: ignore[index]  # there are some
+        instance = read_instance(self._instances[self.instance_index])  # type: ignore[index]  # checked above
         if instance.id != self.instance.id:
             self._enter(instance)
 
     @property
     def observer(self) -> Observer:
-        """Observer of the present room."""
+        """Observer of the current room."""
         return self._observer
 
     def describe(self) -> dict[str, Any]:
-        """Return the arguments that decide this environment's numbers, as JSON values; drawing is left out.
+        """Return the arguments that affect dynamics, rewards and observations, as JSON values.
 
-        The instance goes as its content hash `id` and its `content`.
+        Arguments of drawing are omitted. The instance is given as its content hash `id` and its `content`.
         """
         if self._resample and self.config is not None:
             return {"config": self.config.to_dict(), "observation": self._kind, "engine": self._engine,
@@ -208,7 +207,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Specification by which `gymnasium.make` made it; its `max_episode_steps` is the room's horizon."""
+        """Specification that `gymnasium.make` used; its `max_episode_steps` is the horizon of the room."""
         return self._spec
 
     @spec.setter
@@ -217,12 +216,12 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._spec = bound_episodes(spec, self._count_steps())
 
     def _count_steps(self) -> int:
-        """Steps until an episode is truncated."""
+        """Largest number of steps in an episode, which is then truncated."""
         return self.instance.horizon
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[NDArray[Any], dict[str, Any]]:
-        """Begin an episode; see the class for `options`."""
+        """Begin an episode and return the observation and `info`; the class describes `options`."""
         seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         if not isinstance(options, Mapping | None):
@@ -241,7 +240,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             instance_seed = int(self.np_random.integers(2**31))
         if instance_seed is not None:
             if self.config is None:
-                raise ConfigError("reset options.instance_seed", instance_seed, "nothing: no configuration is known")
+                raise ConfigError("reset options.instance_seed", instance_seed,
+                                  "left out if the environment was made from rooms instead of a configuration")
             self._enter(generate(self.config, instance_seed))
         self._begin_stream(seed)
         number, noise_key = draw_episode(self._stream, self._episode, len(self.instance.starts))
@@ -253,7 +253,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         return self._observe(), self._inform(QUIET)
 
     def _begin_stream(self, seed: int | None) -> None:
-        """Count the episode; a seed begins a new stream of starts and noise, as it does in a batch of rooms."""
+        """Count the episode. A seed begins a new stream of starts and noise, as in a batch of rooms."""
         if seed is not None or self._stream < 0:
             self._stream = int(self.np_random.integers(2**63)) if seed is None else fold_seed(seed)
             self._episode = 0
@@ -261,7 +261,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             self._episode += 1
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
-        """Run one primitive, by its number in the action table; returns Gymnasium's five values."""
+        """Run one primitive, an index of the action table, and return Gymnasium's five values."""
         _, room = self._require_episode()
         try:
             number = operator.index(action)
@@ -272,7 +272,6 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         return self._finish(*room.step(number))
 
     def _require_episode(self) -> tuple[RoomState, Engine]:
-        """State and room of the running episode."""
         room = self._get_room()
         if self._state is None or self._ended:
             raise ResetNeededError("call reset() first: " + ("the episode has ended" if self._ended
@@ -281,7 +280,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
 
     def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, events: Events
                 ) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
-        """Take over the outcome of a step; returns Gymnasium's five values."""
+        """Store the outcome of a step and return Gymnasium's five values."""
         self._state, self.events = state, events
         self._ended = terminated or truncated
         if self._trailing:
@@ -290,8 +289,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             self.render()
         return self._observe(), reward, terminated, truncated, self._inform(events)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]  # its frames are generic
-        """Return a frame (height, width, 3), uint8, or keep Bullet's window in step."""
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]  # Gymnasium's frames are generic
+        """Return a frame (height, width, 3), uint8, or update Bullet's window in `human` mode."""
         room = self._get_room()
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' at construction")
@@ -300,10 +299,10 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             room.show(self.metadata["render_fps"])
             return None
         trail = self._trail if self._trailing else ()
-        return self._renderer.render(room.state, self._camera, *self._size, trail=trail)  # type: ignore[union-attr]  # open
+        return self._renderer.render(room.state, self._camera, *self._size, trail=trail)  # type: ignore[union-attr]  # set
 
     def close(self) -> None:
-        """Free the engine; safe to call twice."""
+        """Free the engine. Further calls have no effect."""
         if self.room is not None:
             self.room.close()
             self.room = self._renderer = None
@@ -312,13 +311,13 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     # --- copies ------------------------------------------------------------------------
 
     def __getstate__(self) -> dict[str, Any]:
-        """Arguments and running episode, for pickles and deep copies; pictures and windows are made anew."""
+        """Return arguments and running episode for pickles and deep copies; renderers and windows are rebuilt."""
         episode = {name: getattr(self, name) for name in _EPISODE}
         return EzPickle.__getstate__(self) | {"instance": self.instance, "is_closed": self.room is None,
                                               "episode": episode}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Make the environment again and go on where the other one was."""
+        """Rebuild the environment and continue the copied episode."""
         EzPickle.__setstate__(self, state)
         if state["instance"] != self.instance:
             self._enter(state["instance"])
@@ -338,20 +337,20 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         return self._state
 
     def set_state(self, state: RoomState) -> None:
-        """Continue from a state, as if the episode had come to it; noise included."""
+        """Continue from a state; the noise that follows is the same as after that state."""
         self._get_room().set_state(state)
         self._state, self._ended, self.events = state, False, QUIET
 
     def _get_room(self) -> Engine:
         if self.room is None:
-            raise ClosedError("the environment was closed; make a new one")
+            raise ClosedError("the environment is closed. Make a new one")
         return self.room
 
     def _observe(self) -> NDArray[Any]:
-        return self._observer.observe(self._state)  # type: ignore[arg-type]  # called within an episode
+        return self._observer.observe(self._state)  # type: ignore[arg-type]  # set during an episode
 
     def _inform(self, events: Events) -> dict[str, Any]:
-        state: RoomState = self._state  # type: ignore[assignment]  # called within an episode
+        state: RoomState = self._state  # type: ignore[assignment]  # set during an episode
         lit = self._lit.get(state.puzzle)
         if lit is None:
             lit = np.zeros(len(self.instance.frame.target_names), dtype=np.int8)

@@ -1,8 +1,8 @@
 """The grid over a room's floor: cells and their clearances, connected parts, and waves from a goal.
 
-Every grid over the floor is a `FloorGrid`, each with its own size of cells: the certificate
-(`sampling/certificate.py`), clearances and cost-to-go (`hrl_escape.floor`), batched options, pushes and maps of reach.
-This module knows no robot.
+Every grid over the floor is a `FloorGrid` with its own cell size: the certificate (`sampling/certificate.py`),
+clearances and cost-to-go (`hrl_escape.floor`), batched options, pushes and maps of reach. This module is independent of
+robots.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_foot
 
 
 def compute_extent_radius(shape: Footprint) -> float:
-    """Radius of the smallest circle round a footprint's centre that holds it, m."""
+    """Return the radius, m, of the smallest circle around a footprint's centre that encloses it."""
     return shape.half_x if shape.is_disc else math.hypot(shape.half_x, shape.half_y)
 
 
 class FloorGrid(NamedTuple):
-    """Square cells over a floor's bounding box, the alcove behind a door included; cell (i, j) is i * rows + j."""
+    """Square cells over the bounding box of a floor and alcove; the index of cell (i, j) is i * rows + j."""
 
     low: NDArray[np.float64]  # corner with the smallest coordinates, shape (2,), m
     size: float  # side of a cell, m
@@ -31,41 +31,41 @@ class FloorGrid(NamedTuple):
 
     @classmethod
     def cover(cls, reach_x: float, reach_y: float, size: float) -> FloorGrid:
-        """Cover a floor that reaches as far as this from the room's centre along x and y, m."""
+        """Cover the floor |x| <= reach_x, |y| <= reach_y, m."""
         columns, rows = (max(1, math.ceil(2 * reach / size)) for reach in (reach_x, reach_y))
         return cls(np.array([-reach_x, -reach_y]), size, (columns, rows))
 
     @property
     def cells(self) -> int:
-        """Number of cells, columns times rows."""
+        """Number of cells: columns times rows."""
         return self.shape[0] * self.shape[1]
 
     def list_cells(self, low: Any = (0, 0), high: Any = None) -> NDArray[np.int64]:
-        """List the cells (n, 2) from a corner (i, j) up to, and without, another one, row-major; by default all."""
+        """List the cells (n, 2) from corner `low` to corner `high` (exclusive), row-major; by default all."""
         sides = np.maximum(np.subtract(self.shape if high is None else high, low), 0)
         return np.indices(tuple(sides)).reshape(2, -1).T + np.asarray(low)
 
     def get_centres(self, cells: Any = None) -> NDArray[np.float64]:
-        """Centres (n, 2) of cells (n, 2), m; by default of all, row-major."""
+        """Return the centres (n, 2) of cells (n, 2), m; by default of all, row-major."""
         cells = self.list_cells() if cells is None else np.asarray(cells)
         return np.add(self.low, (cells + 0.5) * self.size, dtype=np.float64)
 
     def find_number(self, x: float, y: float) -> int:
-        """Number of the cell that holds a place; -1 off the grid."""
+        """Return the index of the cell that contains a point; -1 outside the grid."""
         low_x, low_y = self.low.tolist()
         i, j = math.floor((x - low_x) / self.size), math.floor((y - low_y) / self.size)
         return i * self.shape[1] + j if 0 <= i < self.shape[0] and 0 <= j < self.shape[1] else -1
 
     def find_numbers(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Numbers of the cells that hold places (..., 2); -1 off the grid."""
+        """Return the indices of the cells that contain points (..., 2); -1 outside the grid."""
         i, j = np.moveaxis(np.floor((points - self.low) / self.size).astype(int), -1, 0)
         inside = (i >= 0) & (i < self.shape[0]) & (j >= 0) & (j < self.shape[1])
         return np.where(inside, i * self.shape[1] + j, -1)
 
     def find_window(self, shape: Footprint, around: float) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-        """Corners (first cell, cell to stop before) of a window that holds all cells within a distance of a footprint.
+        """Return the corners (first cell, end cell) of a window with all cells within `around` m of a footprint.
 
-        The distance, in m, is to the cells' centres.
+        The distance is measured to the centres of cells.
         """
         middle, extent = np.array([shape.x, shape.y]), compute_extent_radius(shape) + around
         low = np.maximum(np.floor((middle - extent - self.low) / self.size).astype(int), 0)
@@ -74,9 +74,9 @@ class FloorGrid(NamedTuple):
 
     def measure(self, shape: Footprint, around: float, within: tuple[Any, Any] | None = None
                 ) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
-        """Distances from a footprint to the centres of all cells that may be within `around` of it, m.
+        """Compute the distances, m, from a footprint to the centres of all cells that can be within `around` of it.
 
-        Returns the window of these cells, as an index of arrays of the grid's shape and cut to the corners `within`,
+        Returns the window of these cells, as an index into arrays of the grid's shape, clipped to the corners `within`,
         and the distances.
         """
         low, high = self.find_window(shape, around)
@@ -91,11 +91,11 @@ class FloorGrid(NamedTuple):
 
 
 def label_parts(free: NDArray[np.bool_], corners: bool) -> NDArray[np.int32]:
-    """Number the connected parts of free cells (columns, rows) from 1 on; 0 elsewhere. Corners may connect, too."""
+    """Number the connected parts of free cells (columns, rows) from 1; 0 elsewhere. `corners` connects diagonally."""
     columns, rows = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
     if len(columns) and free[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1].all():
         return free.astype(np.int32)  # an empty room: one rectangle
-    from scipy import ndimage  # only rooms with something in the way pay for this import
+    from scipy import ndimage  # imported here because empty rooms do not need it
 
     labels = np.zeros(free.shape, dtype=np.int32)
     ndimage.label(free, structure=np.ones((3, 3)) if corners else None, output=labels)
@@ -103,7 +103,7 @@ def label_parts(free: NDArray[np.bool_], corners: bool) -> NDArray[np.int32]:
 
 
 def coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
-    """Blocks of `stride` by `stride` cells that have a free one among them."""
+    """Return the blocks of `stride` by `stride` cells that contain a free cell."""
     columns, rows = (-(-side // stride) * stride for side in free.shape)
     whole = np.zeros((columns, rows), dtype=bool)
     whole[: free.shape[0], : free.shape[1]] = free
@@ -111,8 +111,8 @@ def coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
 
 
 def join_cells(free: NDArray[np.bool_]) -> Any:
-    """Graph of free cells and their neighbours, a sparse matrix (cells, cells)."""
-    from scipy import sparse  # only rooms that are searched pay for this import
+    """Return the graph of free cells and their neighbours, a sparse matrix (cells, cells)."""
+    from scipy import sparse  # imported here because only searches need it
 
     numbers = np.arange(free.size).reshape(free.shape)
     across, along = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
@@ -122,9 +122,10 @@ def join_cells(free: NDArray[np.bool_]) -> Any:
 
 
 def spread_waves(graph: Any, seeds: NDArray[np.int_] | Sequence[int], weighted: bool = False) -> NDArray[np.float64]:
-    """Least cost from any of the seeds to every node of a sparse graph, (nodes,); infinity where none can be reached.
+    """Return the lowest cost from any seed to every node of a sparse graph, (nodes,); infinity if unreachable.
 
-    Edges run both ways and cost one each, unless it is weighted: then they run from row to column at the matrix's cost.
+    By default edges have both directions and cost 1. With `weighted` they lead from row to column at the cost in the
+    matrix.
     """
     from scipy.sparse import csgraph
 

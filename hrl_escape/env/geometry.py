@@ -1,8 +1,8 @@
 """Exact planar geometry of a disc among boxes and cylinders: distances and first contact.
 
-Pure functions, no engine. The body is an upright cylinder and every solid an upright
-prism, so contact is decided in the floor plane. Scalar functions serve single steps;
-the `*_many` ones take arrays of points for planners and generation. Rays are `sight.py`. Metres, radians.
+All functions are pure and independent of engines. The body is an upright cylinder and every solid an upright prism, so
+the floor plane decides contacts. Scalar functions serve single steps; `*_many` functions take arrays of points for
+planners and generation. `sight.py` handles rays. Lengths in metres, angles in radians.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from hrl_escape.settings import Range
 Thing = TypeVar("Thing")
 
 LARGEST_LENGTH = 1e6
-"""Bound of every length and coordinate in a room, m."""
+"""Largest length and coordinate in a room, m."""
 
 
 class Footprint(NamedTuple):
-    """A solid's outline on the floor, ready for scalar arithmetic."""
+    """Outline of a solid on the floor, in a form for scalar arithmetic."""
 
     is_disc: bool
     x: float
@@ -39,40 +39,40 @@ class Footprint(NamedTuple):
 
 def make_footprint(x: float, y: float, half_x: float, half_y: float, yaw: float = 0.0,
                    is_disc: bool = False) -> Footprint:
-    """Build a footprint; quarter turns get exact sines, so that aligned boxes stay aligned."""
+    """Build a footprint. Quarter turns have exact sines, which keeps aligned boxes aligned."""
     return Footprint(is_disc, x, y, round(math.cos(yaw), 15), round(math.sin(yaw), 15), half_x, half_y)
 
 
 @dataclasses.dataclass(frozen=True)
 class Solid(HashedSettings):
-    """An upright box or cylinder standing on the floor, in the room frame."""
+    """An upright box or cylinder on the floor, in the room frame."""
 
     _section = "solid"
     shape: Literal["box", "cylinder"] = "box"
-    """Outline on the floor: a box's rectangle or a cylinder's disc."""
+    """Outline on the floor: a rectangle (box) or a disc (cylinder)."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre along x, room frame."""
+    """x of the centre, room frame."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre along y, room frame."""
+    """y of the centre, room frame."""
     half_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
-    """Half size along its own x; a cylinder's radius."""
+    """Half size along the solid's x, or the radius of a cylinder."""
     half_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
-    """Half size along its own y; a cylinder's radius."""
+    """Half size along the solid's y, or the radius of a cylinder."""
     yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
-    """Direction of its own x."""
+    """Direction of the solid's x."""
     height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 1.0
     """Height above the floor."""
     role: Literal["wall", "obstacle", "door"] = "obstacle"
-    """Part of the room that it is."""
+    """Kind of solid in the room: wall, obstacle or door."""
 
     @cached_property
     def footprint(self) -> Footprint:
-        """Its outline on the floor."""
+        """Outline of the solid on the floor."""
         return make_footprint(self.x, self.y, self.half_x, self.half_y, self.yaw, self.shape == "cylinder")
 
 
 def compute_distance(x: float, y: float, shape: Footprint) -> float:
-    """Distance from a point to a footprint; 0 inside."""
+    """Return the distance from a point to a footprint; 0 inside."""
     is_disc, cx, cy, cos, sin, half_x, half_y = shape
     dx, dy = x - cx, y - cy
     if is_disc:
@@ -89,11 +89,11 @@ _TANGENT = 1e-12
 
 
 def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: float, shape: Footprint) -> float:
-    """Fraction of a displacement at which a moving disc, its clearance included, first meets a footprint.
+    """Return the fraction of a displacement at which a moving disc first meets a footprint; `radius` has the clearance.
 
-    Returns the fraction in [0, 1), or infinity if the disc gets by. A disc already in contact
-    is stopped (0) only if it moves towards the shape; sliding along it is free. The
-    set of touching centres is convex, so its boundary is met at most once.
+    The fraction is in [0, 1), or infinity if the disc passes. A disc already in contact stops (0) only if it moves
+    towards the shape; it can slide along it. The set of touching centres is convex, so the disc crosses its boundary at
+    most once.
     """
     is_disc, cx, cy, cos, sin, half_x, half_y = shape
     px, py = x - cx, y - cy
@@ -101,7 +101,7 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
         return _meet_circle(px, py, dx, dy, half_x + radius)
     ox, oy = cos * px + sin * py, cos * py - sin * px
     vx, vy = cos * dx + sin * dy, cos * dy - sin * dx
-    if ox < 0.0:  # mirror into the quadrant where the centre lies
+    if ox < 0.0:  # mirror into the quadrant of the centre
         ox, vx = -ox, -vx
     if oy < 0.0:
         oy, vy = -oy, -vy
@@ -111,8 +111,8 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
             return _meet_circle(qx, qy, vx, vy, radius)
     elif max(qx, qy) <= radius:
         return 0.0 if (vx if qx > qy else vy) < -_GRAZE * (abs(vx) + abs(vy)) else math.inf
-    # outside: enter the box grown by the radius, then test whether it was at a rounded corner; distances are
-    # the ones compared above (radius - qx, not wide - ox), or rounding could take a touching disc for one inside
+    # Outside: enter the box grown by the radius, then test whether that is at a rounded corner. The distances are those
+    # compared above (radius - qx, not wide - ox); otherwise rounding could take a touching disc for one inside.
     wide, high = half_x + radius, half_y + radius
     enter, leave, side = 0.0, 1.0, -1
     if qx > radius or abs(vx) > 0.0:
@@ -141,7 +141,7 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
 
 
 def _meet_circle(px: float, py: float, vx: float, vy: float, radius: float) -> float:
-    """First fraction at which p + t v is within a circle round the origin."""
+    """Smallest fraction t at which p + t v is inside a circle around the origin."""
     along = px * vx + py * vy
     if along >= 0.0:
         return math.inf
@@ -150,8 +150,8 @@ def _meet_circle(px: float, py: float, vx: float, vy: float, radius: float) -> f
     if gap <= 0.0:
         return 0.0 if along < -_GRAZE * radius * math.sqrt(square) else math.inf
     cross, most = px * vy - py * vx, square * radius * radius
-    root = most - cross * cross  # along**2 - square * gap, without its cancellation
-    if root <= _TANGENT * most:  # a tangent is no hit, whatever the rounding
+    root = most - cross * cross  # equals along**2 - square * gap, without its cancellation
+    if root <= _TANGENT * most:  # a tangent is not a contact, independent of rounding
         return math.inf
     fraction = gap / (-along + math.sqrt(root))
     return fraction if fraction < 1.0 else math.inf
@@ -163,9 +163,9 @@ def stack_footprints(shapes: Sequence[Footprint]) -> NDArray[np.float64]:
 
 
 def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Distance from each point (n, 2) to the nearest row of `stack_footprints`, (n,).
+    """Return the distance from each point (n, 2) to the nearest row of `stack_footprints`, (n,).
 
-    It is 0 inside a footprint, infinity if there are none.
+    The distance is 0 inside a footprint, and infinity if there are none.
     """
     best = np.full(len(points), np.inf)
     for is_disc, cx, cy, cos, sin, half_x, half_y in shapes.tolist():
@@ -181,7 +181,7 @@ def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float6
 
 
 class Neighbourhood:
-    """Footprints of a room, with queries for those near a place."""
+    """Footprints of a room with queries for those near a place."""
 
     def __init__(self, footprints: Sequence[Footprint]) -> None:
         self.footprints = list(footprints)
@@ -190,23 +190,23 @@ class Neighbourhood:
                                 np.hypot(self.shapes[:, 5], self.shapes[:, 6]))
 
     def find_near(self, x: float, y: float, distance: float) -> NDArray[np.int_]:
-        """Numbers of the footprints that may come within a distance of a place."""
+        """Return the indices of the footprints that can be within a distance, m, of a place."""
         away = np.hypot(self.shapes[:, 1] - x, self.shapes[:, 2] - y)
         return np.flatnonzero(away <= self._around + distance)
 
     def list_near(self, x: float, y: float, distance: float) -> list[Footprint]:
-        """Footprints that may come within a distance of a place, m."""
+        """List the footprints that can be within a distance, m, of a place."""
         return [self.footprints[number] for number in self.find_near(x, y, distance)]
 
 
 class NearCells(dict[tuple[int, int], tuple[Thing, ...]]):
-    """Things that may be within reach of some place in a floor cell of one metre, found when a cell is first asked for.
+    """Things that can be within reach of floor cells of one metre, computed at the first query of a cell.
 
     The key of a place is (floor(x), floor(y)).
 
     Args:
-        things: all of them.
-        outlines: of each its outline, and how far it reaches from there, m; less than 0 for never.
+        things: all things.
+        outlines: outline of each thing and its reach from the outline, m; a negative reach for never.
     """
 
     def __init__(self, things: Iterable[Thing], outlines: Iterable[tuple[Footprint, float]]) -> None:

@@ -1,8 +1,7 @@
-"""One sampled room: a `RoomInstance` holds every concrete pose and size, the graph and the robot.
+"""One sampled room: a `RoomInstance` holds every concrete pose and size, the puzzle and the robot.
 
-Instances are immutable values: they serialise to JSON and back without loss and carry a
-content hash, `id`, by which results name the room they were measured in. Rooms from outside are checked
-(`check_room`). Sampling them from a room configuration is `generation.py`.
+Instances are immutable values. They serialise to JSON and back without loss. Their content hash, `id`, identifies the
+room in results. `check_room` checks rooms from files; `sampling/generation.py` samples rooms from a configuration.
 """
 
 from __future__ import annotations
@@ -42,36 +41,36 @@ from hrl_escape.settings import Range
 
 SCHEMA_VERSION = 1
 _OVERLAP = 1e-6
-"""Length by which the alcove behind a door counts as reaching into the floor, m."""
+"""Overlap, m, between the floor of the alcove behind a door and the floor of the room."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Target(HashedSettings):
-    """A pressable box on a wall, which blocks nothing in kinematic rooms, or a pad on the floor."""
+    """A pressable box on a wall, or a pad on the floor. Neither blocks the way in kinematic rooms."""
 
     _section = "target"
     name: str = "button-1"
-    """Name that no other target of the room has."""
+    """Unique name of the target within the room."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre along x, room frame."""
+    """x of the centre, room frame."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre along y, room frame."""
+    """y of the centre, room frame."""
     z: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.5
     """Height of the centre above the floor."""
     half_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
-    """Half its width, along its own x."""
+    """Half the width, along the target's x."""
     half_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.05
-    """Half its thickness, along its own y."""
+    """Half the thickness, along the target's y."""
     half_z: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
-    """Half its height, along z."""
+    """Half the height, along z."""
     yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
-    """Direction of its width."""
+    """Direction of the target's x, along its width."""
     kind: Literal["panel", "pad"] = "panel"
-    """A panel is pressed by touching it, a pad by the body's axis being over it."""
+    """A panel is pressed by touch; a pad is pressed while the body's axis is over it."""
 
     @cached_property
     def footprint(self) -> Footprint:
-        """Its outline on the floor."""
+        """Outline of the target on the floor."""
         return make_footprint(self.x, self.y, self.half_x, self.half_y, self.yaw)
 
 
@@ -101,7 +100,7 @@ class Rectangle(HashedSettings):
 
     @property
     def is_flat(self) -> bool:
-        """True if it has no area, as the exit of a world that is no puzzle."""
+        """True if the rectangle has no area, such as the exit of a world without a puzzle."""
         return self.x_min == self.x_max or self.y_min == self.y_max
 
     @property
@@ -127,46 +126,45 @@ class Start(HashedSettings):
 
 @dataclasses.dataclass(frozen=True)
 class PlacedProp(HashedSettings):
-    """A prop of the puzzle and where it stands when an episode begins."""
+    """A prop of the puzzle with its pose at the start of an episode."""
 
     _section = "prop"
     prop: Prop = Prop()
-    """The puzzle's prop: its kind, size and mass."""
+    """Kind, size and mass of the prop."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Position of its centre along x."""
+    """x of its centre."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Position of its centre along y."""
+    """y of its centre."""
     yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
-    """Direction of its own x, counter-clockwise from the room's +x."""
+    """Direction of the prop's x, counter-clockwise from the room's x."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SpaceLayout(HashedSettings):
-    """Layout and scale of observations and options: one for all instances of a room configuration.
+    """Layout and scale of observations and options, the same for all instances of a room configuration.
 
-    An instance with fewer targets than its frame shows the others as absent: their numbers are 0, their options masked.
+    If an instance has fewer targets than its layout, the missing ones have zeros in observations and masked options.
     """
 
     _section = "frame"
     reach_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
-    """Largest |x| that the floor of any instance has."""
+    """Largest |x| of the floor over all instances."""
     reach_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
-    """Largest |y| that the floor of any instance has."""
+    """Largest |y| of the floor over all instances."""
     wall_height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 3.0
-    """Largest height of walls."""
+    """Largest wall height over all instances."""
     target_names: tuple[str, ...] = ()
-    """Names of the targets of the instance with the most targets."""
+    """Target names of the instance with the most targets."""
     bounds: tuple[tuple[float, float], ...] = ()
-    """Lowest and highest value of each of the puzzle's numbers."""
+    """Lowest and highest value of each number of the puzzle."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RoomInstance(Pictured, HashedSettings):
     """One room, ready to be simulated, planned in and drawn.
 
-    The floor is the rectangle |x| <= half_width, |y| <= half_depth (plus the alcove behind
-    the door, if there is one). `name` and `seed` say where the instance came from; they
-    are not part of its content and do not change `id`.
+    The floor is the rectangle |x| <= half_width, |y| <= half_depth, plus the alcove behind the exit door if there is
+    one. `name` and `seed` record the origin of the instance. They do not change `id`.
     """
 
     _section = "instance"
@@ -174,7 +172,7 @@ class RoomInstance(Pictured, HashedSettings):
     name: str = "custom"
     """Name of the room configuration."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
-    """Instance seed it was generated with."""
+    """Seed that generated the instance."""
     half_width: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
     """Half the inner size along x."""
     half_depth: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
@@ -184,34 +182,35 @@ class RoomInstance(Pictured, HashedSettings):
     solids: tuple[Solid, ...] = ()
     """Fixed solids: walls and obstacles, without doors."""
     door: Solid | None = None
-    """Stands in the exit's doorway until the puzzle is solved."""
+    """Door in the exit's doorway, until the puzzle is solved, or None for an exit without a door."""
     inner_doors: tuple[Solid, ...] = ()
-    """Stand in their places while the puzzle says that they are shut: doors, and things that block a cell."""
+    """Solids that are present while the puzzle marks them as shut: doors, and things that block a cell."""
     ways: tuple[tuple[Annotated[int, Range(0, 63)], ...], ...] = ()
-    """Inner doors on the way from the starts to each target, and last to the exit, in a puzzle without a map."""
+    """Indices of the inner doors on the way from the starts to each target and, last, to the exit. Empty for puzzles
+    with a map."""
     targets: tuple[Target, ...] = ()
-    """Things to press, in the puzzle's order."""
+    """Things to press, in the order of the puzzle."""
     props: tuple[PlacedProp, ...] = ()
-    """Things on the floor, in the puzzle's order."""
+    """Movable things on the floor, in the order of the puzzle."""
     exit: Rectangle = Rectangle()
-    """Region in which the episode ends once the puzzle is solved."""
+    """Region where the episode ends once the puzzle is solved."""
     starts: tuple[Start, ...] = (Start(),)
-    """Poses in which episodes may begin."""
+    """Possible start poses of episodes."""
     robot: RobotConfig = RobotConfig()
-    """Room configuration of the robot: base, arm, and the size of its primitives."""
+    """Robot: base, arm, and sizes of its primitives."""
     puzzle: Puzzle = ButtonsPuzzle()
     """Concrete puzzle that opens the exit."""
     reward: RewardConfig = RewardConfig()
     """Reward of each primitive and of the exit."""
     dynamics: DynamicsConfig = DynamicsConfig()
-    """Effect of the primitives: kinematic or rigid-body, noise and slip."""
+    """Dynamics of the primitives: kinematic or physical, noise and slips."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
-    """Primitives after which an episode is truncated."""
+    """Largest number of primitives in an episode, which is then truncated."""
     shared: SpaceLayout | None = None
-    """Layout of the room configuration, where instances differ in size (None: this room's own)."""
+    """Layout shared by all instances of the configuration, or None for the room's own."""
 
     def check(self) -> None:
-        """Check what spans several parts."""
+        """Check the limits that relate several fields."""
         if self.shared is not None:
             self._check_frame(self.shared)
         names = tuple(target.name for target in self.targets)
@@ -271,18 +270,18 @@ class RoomInstance(Pictured, HashedSettings):
 
     @cached_property
     def frame(self) -> SpaceLayout:
-        """Layout and scale of observations in this room: the room configuration's, or the room's own."""
+        """Layout and scale of observations in this room: the shared layout, or the room's own."""
         return self.shared or SpaceLayout(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
                                           self.puzzle.bounds)
 
     @property
     def has_extra_reward(self) -> bool:
-        """True if puzzle or reward pay beside `step` and `exit`: a return then does not follow from a length."""
+        """True if the puzzle or the reward pays more than `step` and `exit`. The return then depends on the path."""
         return self.puzzle.has_reward or not self.reward.is_sparse
 
     @cached_property
     def symbolic_model(self) -> SymbolicModel:
-        """The puzzle's model, in which doors on the way to a target or the exit must be open, too."""
+        """Symbolic model of the puzzle, with open doors as preconditions of the targets and exits behind them."""
         model, facts = self.puzzle.symbolic.make_symbolic_model(), get_mixin(self.puzzle, Doored).door_facts
         if not facts:
             return model
@@ -293,7 +292,7 @@ class RoomInstance(Pictured, HashedSettings):
         return dataclasses.replace(model, operators=operators, goal=model.goal | last)
 
     def find_model(self, state: Any) -> SymbolicModel:
-        """The model in a state of the puzzle: `symbolic_model`, unless things of a map lie elsewhere than at first."""
+        """Return the symbolic model from a puzzle state; it differs from `symbolic_model` if things of a map moved."""
         return self.puzzle.symbolic.find_model(state) or self.symbolic_model
 
     @cached_property
@@ -309,16 +308,17 @@ class RoomInstance(Pictured, HashedSettings):
         return self.digest[:16]
 
     def compute_press_reach(self, target: Target, hand_height: float = 0.0) -> float:
-        """Largest floor distance, m, of the body's axis from a target's footprint at which it is touched; -1 for never.
+        """Return the largest floor distance, m, of the body's axis from a target's footprint that touches it.
 
-        Where the hand presses, it is that of the hand, at a height above the floor.
+        Returns -1 if the target cannot be touched. If the hand presses, this is the distance of the hand at
+        `hand_height` m above the floor.
         """
         margin = self.compute_press_margin(target, hand_height)
         is_body = self.dynamics.press_with == "body" and target.kind == "panel" and margin >= 0.0
         return self.robot.outer_radius + margin if is_body else margin
 
     def compute_press_margin(self, target: Target, hand_height: float = 0.0) -> float:
-        """Largest floor distance at which the outline (or hand, or over a pad the axis) touches, m; -1 for never."""
+        """Return the largest floor distance, m, at which the outline, hand or (for pads) axis touches; -1 for never."""
         if target.kind == "pad":
             return 0.0
         if self.dynamics.press_with == "hand":
@@ -331,12 +331,12 @@ class RoomInstance(Pictured, HashedSettings):
 
     @property
     def all_solids(self) -> tuple[Solid, ...]:
-        """Walls and obstacles, and last the door that shuts the exit, if there is one."""
+        """Walls and obstacles, then the exit door if there is one."""
         return self.solids if self.door is None else (*self.solids, self.door)
 
     @property
     def door_swing(self) -> float:
-        """Sign of the hinge angle at which the exit's door swings outwards; 1 without a door."""
+        """Sign of the hinge angle that opens the exit door outwards; 1 without a door."""
         if self.door is None:
             return 1.0
         (x, y), yaw = self.exit.centre, self.door.yaw
@@ -344,28 +344,28 @@ class RoomInstance(Pictured, HashedSettings):
 
     @property
     def reach_x(self) -> float:
-        """Largest |x| the floor has, the alcove behind a door included."""
+        """Largest |x| of the floor, m, with the alcove behind a door."""
         return max(self.half_width, abs(self.exit.x_min), abs(self.exit.x_max))
 
     @property
     def reach_y(self) -> float:
-        """Largest |y| the floor has, the alcove behind a door included."""
+        """Largest |y| of the floor, m, with the alcove behind a door."""
         return max(self.half_depth, abs(self.exit.y_min), abs(self.exit.y_max))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return nested plain values, with the schema version; a frame of its own is left out."""
+        """Return nested plain values with the schema version; a layout equal to the room's own is omitted."""
         return {"schema": SCHEMA_VERSION} | super().to_dict()
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Build from what `to_dict` gave, and check that the floor is walled in and its starts are free.
+        """Build an instance from the output of `to_dict`. Check that walls enclose the floor and that starts are free.
 
         Raises:
-            InstanceFileError: a newer schema, a missing field, or content that is no room.
+            InstanceFileError: a newer schema, a missing field, or invalid content.
         """
         try:
             if not isinstance(data, dict) or "schema" not in data:
-                raise InstanceFileError("no room instance: the 'schema' field is missing")
+                raise InstanceFileError("not a room instance: the 'schema' field is missing")
             content = cast("dict[str, Any]", data)
             version = content["schema"]
             if type(version) is not int or version != SCHEMA_VERSION:
@@ -376,13 +376,13 @@ class RoomInstance(Pictured, HashedSettings):
             instance = super().from_dict({name: value for name, value in content.items() if name != "schema"})
             missing = _find_missing(content, instance.to_dict(), "instance")
             if missing is not None:
-                raise InstanceFileError(f"no room instance: the field {missing} is missing")
+                raise InstanceFileError(f"not a room instance: the field {missing} is missing")
             check_room(instance)
             return instance
         except InstanceFileError:
             raise
         except (EscapeError, TypeError, ValueError, RecursionError) as error:
-            raise InstanceFileError(f"no room instance: {error}") from None
+            raise InstanceFileError(f"not a room instance: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Write the instance as JSON, atomically."""
@@ -390,11 +390,11 @@ class RoomInstance(Pictured, HashedSettings):
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read an instance and check its content hash.
+        """Read an instance from JSON and check its content hash.
 
         Raises:
-            FileReadError: missing, unreadable, or not JSON.
-            InstanceFileError: edited, corrupted, or of a newer schema.
+            FileReadError: the file is missing, unreadable, or not JSON.
+            InstanceFileError: the file was edited or corrupted, or has a newer schema.
         """
         data: Any = read_json(path, "room instance")
         stated: Any = cast("dict[str, Any]", data).pop("id", None) if isinstance(data, dict) else None
@@ -403,35 +403,35 @@ class RoomInstance(Pictured, HashedSettings):
         except InstanceFileError as error:
             raise InstanceFileError(f"{path}: {error}") from None
         if stated != instance.id:
-            raise InstanceFileError(f"{path}: edited or corrupted, its content has id {instance.id!r} and the file "
-                                    f"says {show_value(stated)}; make rooms with generate() and save()")
+            raise InstanceFileError(f"{path}: edited or corrupted: the content has id {instance.id!r}, the file states "
+                                    f"{show_value(stated)}. Make rooms with generate() and save()")
         return instance
 
 
 InstanceForm: TypeAlias = RoomInstance | dict[str, Any] | str | Path
-"""A room, its dict form, or the path of one saved as JSON."""
+"""A room, its dict form, or the path of a saved one (JSON)."""
 
 
 def read_instance(form: InstanceForm) -> RoomInstance:
-    """Read a room in any of its forms, with the checks for untrusted rooms.
+    """Return a room from any of its forms, with the checks for untrusted rooms.
 
     Raises:
-        ConfigError: a room with gaps in its walls, or starts that are not free.
+        ConfigError: walls have gaps, or starts are not free.
         FileReadError: no such file.
-        InstanceFileError: the file or the table is no room.
+        InstanceFileError: the file or table is not a valid room.
     """
     if isinstance(form, RoomInstance):
         check_room(form)
         return form
     if isinstance(form, (str, Path)):
         return RoomInstance.load(form)
-    if isinstance(form, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]  # whatever users pass
+    if isinstance(form, Mapping):  # pyright: ignore[reportUnnecessaryIsInstance]  # callers may pass anything
         return RoomInstance.from_dict(form)
-    raise ConfigError("instance", form, "a RoomInstance, its dict form, or the path of one saved as JSON")
+    raise ConfigError("instance", form, "a RoomInstance, its dict form, or the path of a saved room (JSON)")
 
 
 def _find_missing(given: Any, whole: Any, path: str) -> str | None:
-    """Dotted path of the first field that a table lacks, at any depth; None if it has all."""
+    """Dotted path of the first field, at any depth, that a table lacks, or None if it is complete."""
     if isinstance(whole, dict):
         for name, part in cast("dict[str, Any]", whole).items():
             if name not in given:
@@ -451,12 +451,12 @@ def _find_missing(given: Any, whole: Any, path: str) -> str | None:
 
 
 def check_room(instance: RoomInstance) -> None:
-    """Refuse a room that the body could leave through a gap, or whose starts are not free.
+    """Check that the walls enclose the floor and that the starts are free.
 
-    Interior walls, obstacles and targets are not checked: solvability is the certificate's matter.
+    It does not check whether the room can be solved; the certificate does.
 
     Raises:
-        ConfigError: the message names the gap or the start.
+        ConfigError: names the gap or the start.
     """
     solids = [solid.footprint for solid in instance.all_solids]
     shapes = stack_footprints(solids)
@@ -478,7 +478,7 @@ def check_room(instance: RoomInstance) -> None:
 
 
 def does_base_fit(robot: RobotConfig, pose: Start, solids: Sequence[Footprint]) -> bool:
-    """Return whether a base is clear of solids at a heading; a round base fits at every heading."""
+    """Return whether a base is clear of solids at a pose. The heading has no effect for a round base."""
     heading = pose.heading_steps * math.radians(robot.turn_step_deg) + pose.heading_offset
     rotation = round(math.cos(heading), 15), round(math.sin(heading), 15)
     return robot.base.turns_anywhere or robot.base.grow(CONTACT_SKIN).measure_gap(
@@ -486,7 +486,7 @@ def does_base_fit(robot: RobotConfig, pose: Start, solids: Sequence[Footprint]) 
 
 
 def _trace_rim(instance: RoomInstance, spacing: float) -> NDArray[np.float64]:
-    """Points (n, 2) along the rim of the floor, at most `spacing` apart; behind a door it leads round the alcove."""
+    """Points (n, 2) along the edge of the floor and the alcove, at most `spacing` m apart."""
     areas, points = _list_areas(instance), list[NDArray[np.float64]]()
     for number, area in enumerate(areas):
         rim = _trace_rectangle(*area, spacing)
@@ -499,22 +499,22 @@ def _trace_rim(instance: RoomInstance, spacing: float) -> NDArray[np.float64]:
 
 
 def is_on_floor(instance: RoomInstance, x: float, y: float, slack: float = 0.0) -> bool:
-    """Return whether a point is on the floor, in the alcove behind a door, or at most `slack` m beyond their edges."""
+    """Return whether a point is on the floor or in the alcove, or at most `slack` m outside."""
     return any(x_min - slack <= x <= x_max + slack and y_min - slack <= y <= y_max + slack
                for x_min, x_max, y_min, y_max in _list_areas(instance))
 
 
 def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
-    """Floor rectangles: the room's, and that of the alcove behind an exit door."""
+    """Return the floor rectangles: the room's, then the alcove's if there is an exit door."""
     return tuple(Rectangle(*area) for area in _list_areas(instance, 0.0, 0.0))
 
 
 def _list_areas(instance: RoomInstance, skin: float = CONTACT_SKIN, overlap: float = _OVERLAP
                 ) -> list[tuple[float, float, float, float]]:
-    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door.
+    """Rectangles (x_min, x_max, y_min, y_max) of the floor and of the alcove.
 
-    The alcove is deeper than the exit in it, where the body's axis stands, by its radius and a `skin`, and reaches back
-    through the doorway to the floor, an `overlap` into it, m.
+    The alcove is deeper than the exit by the radius of the body and `skin`, and overlaps the floor of the room through
+    the doorway by `overlap` m.
     """
     half_x, half_y, area = instance.half_width, instance.half_depth, instance.exit
     areas = [(-half_x, half_x, -half_y, half_y)]
@@ -526,7 +526,7 @@ def _list_areas(instance: RoomInstance, skin: float = CONTACT_SKIN, overlap: flo
 
 
 def _stretch(low: float, high: float, half: float, beyond: float, overlap: float) -> tuple[float, float]:
-    """Extent of an alcove along one axis: from the floor to the wall behind the exit."""
+    """Extent of an alcove along one axis, from the floor to the wall behind the exit."""
     low, high = min(low, half - overlap), max(high, overlap - half)
     return low - beyond * (low < -half), high + beyond * (high > half)
 

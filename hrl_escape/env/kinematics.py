@@ -1,9 +1,8 @@
 """The kinematic Escape Room MDP as pure rules: one state and one primitive give the next state.
 
-`Kinematics` compiles an instance into tables and steps it exactly; it holds no state of an
-episode. The Bullet engine steps with it and planners simulate with it, so that a plan's
-predicted states are the executed ones. `Rules` holds the rules that every dynamics shares: presses,
-puzzle, reward, exit and horizon.
+`Kinematics` compiles an instance into tables and steps it exactly; it holds no state of an episode. The Bullet engine
+steps with it and planners simulate with it, which makes the predicted states of a plan equal to the executed ones.
+`Rules` holds the rules that all dynamics share: presses, puzzle, reward, exit and horizon.
 """
 
 from __future__ import annotations
@@ -29,41 +28,41 @@ __all__ = ["EpisodeEnd", "Glide", "Kinematics", "RoomState", "Rules", "Transitio
 
 _AHEAD = (1.0, 0.0)
 ROUNDING = 1e-12
-"""Angle from a whole step that sums of small motions may leave by rounding, rad."""
+"""Angle, rad, within which the sum of small motions counts as a whole step despite rounding."""
 
 
 class EpisodeEnd(str, Enum):
-    """End of an episode; `STOPPED` means that the episode could go on."""
+    """End of an episode; `STOPPED` means that the episode could continue."""
 
     ESCAPED = "escaped"
-    """The puzzle is solved, and the robot stands in the exit."""
+    """The puzzle is solved and the robot is in the exit."""
     FAILED = "failed"
-    """The puzzle was failed, as in a deep sea whose last row is reached without its treasure."""
+    """The puzzle has failed, such as Deep Sea after its last row without the treasure."""
     TRUNCATED = "truncated"
     """The horizon was reached."""
     STOPPED = "stopped"
-    """No primitive ended the episode; the driver stopped."""
+    """No primitive ended the episode; the caller stopped it."""
 
     @classmethod
     def of_step(cls, success: bool, terminated: bool, truncated: bool) -> EpisodeEnd:
-        """Return the end by the flags of a step; `success` is `info["is_success"]`, and only it means an escape."""
+        """Return the end from the flags of a step. `success` is `info["is_success"]`, and required for an escape."""
         if terminated:
             return cls.ESCAPED if success else cls.FAILED
         return cls.TRUNCATED if truncated else cls.STOPPED
 
     @property
     def is_over(self) -> bool:
-        """True where the episode cannot go on."""
+        """True if the episode cannot continue."""
         return self is not EpisodeEnd.STOPPED
 
     @property
     def words(self) -> str:
-        """Describe the end in words, for pages and commands."""
+        """Text for pages and commands."""
         return {"truncated": "out of time", "stopped": "still inside"}.get(self.value, self.value)
 
 
 class Transition(NamedTuple):
-    """The outcome of one primitive."""
+    """Outcome of one primitive."""
 
     state: RoomState
     reward: float
@@ -73,29 +72,29 @@ class Transition(NamedTuple):
 
     @property
     def pressed(self) -> tuple[int, ...]:
-        """Numbers of the targets that the primitive pressed, in ascending order."""
+        """Ascending indices of the targets that the primitive pressed."""
         return list_touched(self.events.pressed) if self.events.pressed else ()
 
 
 QUIET = Events(0, 0, 0, 0, 0, False, False)
-"""Events of a primitive in which nothing happened."""
+"""Events of a primitive without any event."""
 
 
 class Glide(NamedTuple):
-    """A short motion of base and arm in continuous coordinates, and what the hand does at its end."""
+    """A short motion of base and arm in continuous coordinates, followed by an act of the hand."""
 
     dx: float  # displacement of the base's axis in the room frame, m
-    dy: float  # likewise
-    turn: float  # of the base, rad
+    dy: float  # same along y, m
+    turn: float  # turn of the base, rad
     joints: tuple[float, ...]  # change of each joint's angle, rad
-    seconds: float  # time that it takes (physics)
+    seconds: float  # duration (physics)
     grip: int = 0  # 1 to grip at its end, -1 to release, 2 to use
 
 
 class InnerDoors:
-    """Inner doors of a room: which of them are shut in a state of the puzzle, and which a step may meet.
+    """Inner doors of a room: which are shut in a state of the puzzle, and which a step can meet.
 
-    A door cannot shut on the robot: one in which the body stands lets it out.
+    A door that shuts while the body is in its doorway does not block that body.
     """
 
     def __init__(self, instance: RoomInstance) -> None:
@@ -107,7 +106,7 @@ class InnerDoors:
         self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
 
     def get_shut(self, puzzle: Hashable) -> int:
-        """Bits of the shut doors in a state of the puzzle; cached."""
+        """Return the bits of the shut doors in a state of the puzzle; cached."""
         shut = self._shut.get(puzzle)
         if shut is None:
             if len(self._shut) > 4096:
@@ -116,7 +115,7 @@ class InnerDoors:
         return shut
 
     def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:
-        """Bits of the shut doors, except those in which a body at a place stands."""
+        """Return the bits of the shut doors, without doors that the body overlaps."""
         shut = self.get_shut(puzzle)
         for number, door in enumerate(self.footprints if shut else ()):
             if shut >> number & 1 and compute_distance(x, y, door) < self._radius - 1e-6:
@@ -124,14 +123,14 @@ class InnerDoors:
         return shut
 
     def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
-        """Outlines of the shut doors that a step from a place could meet."""
+        """Yield the outlines of the shut doors that a step from a place could meet."""
         shut = self.get_shut(puzzle)
         for number, door in self._near[math.floor(x), math.floor(y)]:
             if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
                 yield door
 
     def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
-        """State of the puzzle after a move from a place has pushed the thing in its way, if it can be pushed."""
+        """Return the puzzle state after a move from a place has pushed the thing in its way, if that is possible."""
         ahead = self.find_at(x + dx, y + dy) if isinstance(self._puzzle, Pushing) else -1
         if ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
             return puzzle
@@ -139,20 +138,21 @@ class InnerDoors:
         return self._puzzle.update(puzzle, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
 
     def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
-        """Number of the door one stride ahead of the body's axis, along a heading; -1 where there is none."""
+        """Return the index of the door one stride ahead of the body's axis; -1 if there is none."""
         return self.find_at(x + self._stride * cos, y + self._stride * sin)
 
     def find_at(self, x: float, y: float) -> int:
-        """Number of the door at a place; -1 where there is none."""
+        """Return the index of the door at a place; -1 if there is none."""
         return next((n for n, door in enumerate(self.footprints) if compute_distance(x, y, door) == 0.0), -1)
 
 
 class Rules(RobotPoses):
-    """The part of the MDP that every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
+    """Rules that all dynamics share: touching, presses, the puzzle, reward, exit and horizon.
 
     Args:
         instance: the room.
-        is_still: no randomness, as planners assume: no noise, no slip, and a puzzle's most likely outcomes.
+        is_still: if true, remove all randomness, as planners do: no noise, no slips, and the most likely outcomes of a
+            random puzzle.
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
@@ -181,7 +181,7 @@ class Rules(RobotPoses):
 
     def compute_touching(self, x: float, y: float, heading_steps: int, heading_offset: float,
                          joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> int:
-        """Bits of the targets that the presser touches at a pose of base and arm."""
+        """Return the bits of the targets that the presser touches at a pose of base and arm."""
         touching = 0
         if not self._by_hand:
             for i, footprint, reach, target in self._near_targets[math.floor(x), math.floor(y)]:
@@ -203,7 +203,7 @@ class Rules(RobotPoses):
     # --- the episode -----------------------------------------------------------------
 
     def make_state(self, start: Start, noise_key: int = 0) -> RoomState:
-        """State at the beginning of an episode; targets touched there count as touched before."""
+        """Return the state at the beginning of an episode. Targets touched there do not count as pressed."""
         steps = (0,) * self.instance.robot.joints
         touching = self.compute_touching(start.x, start.y, start.heading_steps, start.heading_offset, steps, ())
         starts = self._puzzle_starts
@@ -215,10 +215,11 @@ class Rules(RobotPoses):
 
     def judge(self, before: RoomState, moved: RoomState,
               prop_poses: tuple[tuple[float, float, float], ...] = (), grip: int = 0) -> Transition:
-        """Complete a motion: presses, puzzle, reward, exit and horizon.
+        """Complete a motion: apply presses, puzzle, reward, exit and horizon.
 
-        `moved` is the state after the motion and what it pushed, with what is touched now, but the old primitive count;
-        `grip` is 1 if the primitive grips, -1 if it releases, 2 if it uses. Under physics, props have poses.
+        `moved` is the state after the motion and what it pushed, with the current contacts but the old number of
+        primitives. `grip` is 1 if the primitive grips, -1 if it releases, 2 if it uses. Under physics, props have
+        poses.
         """
         puzzle = moved.puzzle
         begun = moved.touching & ~before.touching
@@ -249,7 +250,7 @@ class Rules(RobotPoses):
         return Transition(state, reward, terminated, not terminated and count >= self._horizon, events)
 
     def _list_events(self, before: Hashable, after: Hashable, pressed: int, escaped: bool, failed: bool) -> Events:
-        """Events of a primitive that took the puzzle from one state to another."""
+        """Events of a primitive that changed the puzzle from one state to another."""
         if after == before:
             return Events(pressed, 0, 0, 0, 0, escaped, failed)
         was_lit, is_lit = self._get_lit(before), self._get_lit(after)
@@ -273,14 +274,14 @@ class Rules(RobotPoses):
                            self._puzzle.is_solved(state.puzzle))
 
     def has_escaped(self, state: RoomState) -> bool:
-        """Return whether the exit is open and the robot stands in it."""
+        """Return whether the exit is open and the robot is in it."""
         return self._puzzle.is_solved(state.puzzle) and self._exit.contains(state.x, state.y)
 
 
 class Kinematics(Rules):
-    """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through.
+    """The kinematic MDP of an instance: exact first contact, no sliding, and arms that pass through solids.
 
-    A base does not turn at all if a solid blocks any part of the turn.
+    If a solid blocks any part of a turn, the base does not turn.
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
@@ -301,7 +302,7 @@ class Kinematics(Rules):
             tuple(primitive.compute_move(cos, sin) for cos, sin in self.rotations) for primitive in self._primitives)
 
     def step(self, state: RoomState, action: int) -> Transition:
-        """Apply one primitive. Pure: the same state and action give the same transition."""
+        """Apply one primitive. The function is pure: equal arguments give equal transitions."""
         primitive, scale = self._primitives[action], 1.0
         if self._noise or self._slip:
             normal, uniform = compute_noise(state.noise_key, state.primitives)
@@ -321,14 +322,13 @@ class Kinematics(Rules):
         return self.judge(state, moved, grip=primitive.grip)
 
     def glide(self, state: RoomState, motion: Glide) -> Transition:
-        """Apply a short motion in place of a primitive; pure, too.
+        """Apply a short motion instead of a primitive. The function is pure.
 
-        The base goes straight until its first contact, then turns on the spot if nothing is in the way; joints stop at
-        their limits. What the hand does, it does last. Noise and slip are those of a primitive; one that slips does
-        nothing.
+        The base moves straight until its first contact, then turns on the spot if the turn is free. Joints stop at
+        their limits. The hand acts last. Noise and slips apply as to a primitive; a motion that slips has no effect.
 
-        A thing that stops the base is pushed, where things can be, as a move of one stride from the place of contact
-        to the nearest of the map's four sides would push it, if the base then gets where it goes.
+        If a thing that can be pushed stops the base, it is pushed as by a move of one stride in the nearest of the
+        map's four directions, provided that the base then reaches its destination.
         """
         scale, grip = 1.0, motion.grip
         if self._noise or self._slip:
@@ -358,7 +358,7 @@ class Kinematics(Rules):
         return self.judge(state, moved, grip=grip)
 
     def compute_advance(self, state: RoomState, dx: float, dy: float) -> tuple[float, Hashable]:
-        """Share in [0, 1] of a short displacement that is free, and the puzzle once what is in its way is pushed."""
+        """Return the free fraction, in [0, 1], of a short displacement, and the puzzle state after its push."""
         x, y, puzzle = state.x, state.y, state.puzzle
         rotation = self.get_rotation(state.heading_steps, state.heading_offset)
         fraction = self.compute_free_fraction(x, y, dx, dy, puzzle, rotation)
@@ -371,7 +371,7 @@ class Kinematics(Rules):
         return fraction, puzzle
 
     def _slide(self, state: RoomState, action: int, scale: float, share: float) -> int:
-        """Translation that a slipping one becomes, chosen by a uniform number; other primitives do not slip."""
+        """Translation after a slip, chosen by a uniform number; other primitives are unchanged."""
         others = self._slips[action]
         if self._slip_kind == "neighbour":
             others = tuple(n for n in others if self._is_free(state, n, scale))
@@ -409,7 +409,7 @@ class Kinematics(Rules):
 
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
-        """Share in [0, 1] of a displacement that the body at this rotation can make while it keeps its clearance."""
+        """Return the fraction, in [0, 1], of a displacement that keeps the body's clearance at this rotation."""
         is_step = abs(dx) + abs(dy) <= 1.5 * self._span
         near = self._near_solids[math.floor(x), math.floor(y)] if is_step else self.footprints
         fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
@@ -428,12 +428,12 @@ class Kinematics(Rules):
         return self._base.can_turn(x, y, rotation, to, turn, shapes)
 
     def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float]) -> tuple[Footprint, ...]:
-        """Shut doors near a place: the exit's door and the inner doors."""
+        """Shut doors near a place: the exit door and the inner doors."""
         doors = tuple(self.inner_doors.list_near(x, y, puzzle)) if self.inner_doors else ()
         return (self._door, *doors) if self._door and self.is_door_shut(x, y, puzzle, rotation) else doors
 
     def is_door_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float] = _AHEAD) -> bool:
-        """Return whether the exit has a shut door; it cannot close on a robot that stands in it."""
+        """Return whether the exit has a shut door. It does not block a body that overlaps it."""
         if self._door is None or self._puzzle.is_solved(puzzle):
             return False
         return not self._base.stands_in(x, y, rotation, self._door)
@@ -479,37 +479,37 @@ class Kinematics(Rules):
 
 _LARGEST_COUNT = 2**31
 _SOFT_CONTACT = 0.1
-"""Share of the body's radius by which physics lets it press into a solid."""
+"""Depth to which physics lets the body penetrate a solid, as a fraction of its radius."""
 SOFT_LIMIT = 0.1
-"""Angle in rad by which physics lets a joint pass its limit."""
+"""Angle, rad, beyond a joint's limit that physics allows."""
 
 
 def check_state(rules: Rules, state: Any) -> None:
-    """Raise `StateError` for a state that no episode in this room could be in; the message names the field.
+    """Raise `StateError` for a state that is impossible in this room; the message names the field.
 
-    The engine's own part of a state, `physics`, is left to the engine.
+    The engine checks its own part of a state, `physics`.
     """
     check_fields(rules, state)
     soft = rules.instance.dynamics.kind == "physics"
     base, rotation = rules.instance.robot.base, rules.get_rotation(state.heading_steps, state.heading_offset)
     pressed_in = base.inner_radius * _SOFT_CONTACT if soft else 0.0
     if not is_on_floor(rules.instance, state.x, state.y, pressed_in + 1e-6):
-        raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: this is outside the walls")
+        raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: it is outside the walls")
     for solid in rules.instance.solids:
         if compute_distance(state.x, state.y, solid.footprint) < base.inner_radius - pressed_in or (
                 base.measure_gap(state.x, state.y, rotation, (solid.footprint,)) < -pressed_in):
-            raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
+            raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body overlaps the {solid.role} "
                              f"at ({solid.x:g}, {solid.y:g})")
 
 
 def check_fields(rules: Rules, state: RoomState) -> None:
-    """Check a state's fields, each by its own range, wherever the body stands.
+    """Check each field of a state by its own range, independent of where the body is.
 
     Raises:
-        StateError: it is no state, or one of its numbers is impossible; the message names the field.
+        StateError: the value is not a state, or a number is out of range; the message names the field.
     """
     if not isinstance(state, RoomState):
-        raise StateError(f"a state is a RoomState, as get_state() returns it, not {show_value(state)}")
+        raise StateError(f"a state must be a RoomState from get_state(), got {show_value(state)}")
     instance, soft = rules.instance, rules.instance.dynamics.kind == "physics"
     top = instance.wall_height + instance.robot.body_height
     _check_number("x", state.x, -instance.reach_x, instance.reach_x)
@@ -544,7 +544,7 @@ def _check_joints(rules: Rules, state: RoomState, slack: float) -> None:
     for name, values, lengths in (("joint_steps", state.joint_steps, (joints,)),
                                   ("joint_offsets", state.joint_offsets, (0, joints))):
         if not isinstance(values, tuple) or len(values) not in lengths:
-            raise StateError(f"{name} = {show_value(values)} is not possible: {joints} numbers, one a joint")
+            raise StateError(f"{name} = {show_value(values)} is not possible: {joints} numbers, one per joint")
     for offset in state.joint_offsets:
         _check_number("joint_offsets", offset, -math.pi, math.pi)
     for joint, steps in enumerate(state.joint_steps):
@@ -554,4 +554,4 @@ def _check_joints(rules: Rules, state: RoomState, slack: float) -> None:
         angle, (low, high) = robot.home[joint] + steps * robot.step + offset, robot.limits[joint]
         if not low - slack <= angle <= high + slack:
             raise StateError(f"joint_steps = {show_value(state.joint_steps)} is not possible: joint {joint + 1} would "
-                             f"be at {angle:.3g} rad, beyond its limits {low:.3g} and {high:.3g}")
+                             f"be at {angle:.3g} rad, outside its limits {low:.3g} to {high:.3g}")

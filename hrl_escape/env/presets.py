@@ -1,9 +1,9 @@
 """Named room configurations: the paper's rooms, the published 2019 code's, and a ladder of difficulty.
 
-A preset is a function that returns a `RoomConfig`; `larg-2019` takes arguments. Each is
-registered with Gymnasium under its name in CamelCase, `hrl_escape/PaperTwoButton-v1`.
+A preset is a function that returns a `RoomConfig`; `larg-2019` and others take arguments. Gymnasium ids are the names
+in CamelCase, such as `hrl_escape/PaperTwoButton-v1`.
 
-Presets of published grid worlds stand first: rooms of cells, whose primitives are the moves of the domain.
+Presets of published grid worlds come first: rooms of cells, with the moves of the domain as primitives.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ from hrl_escape.errors import ConfigError, UnknownNameError
 ConfigForm: TypeAlias = str | RoomConfig | dict[str, Any]
 """Name of a preset, a room configuration, or the dict form of one."""
 EVERYWHERE = ExitConfig(place="fixed", width=200, depth=200)
-"""An exit on the whole floor: the primitive that solves the puzzle ends the episode."""
+"""An exit that covers the whole floor: the primitive that solves the puzzle ends the episode."""
 
 
 def taxi(rainy: bool = False, fickle: bool = False) -> RoomConfig:
     """Taxi (Dietterich 2000; Gymnasium's Taxi-v4), cell by cell.
 
     Args:
-        rainy: a move that is not blocked ahead goes to either side with probability 0.1 each.
+        rainy: a move that is not blocked ahead slips to either side with probability 0.1 each.
         fickle: the passenger may change the destination once, on the first ride of one cell.
     """
     places = tuple(Place(x, y) for x, y in ((-4, 4), (4, 4), (-4, -4), (2, -4)))
@@ -79,13 +79,13 @@ FOUR_ROOMS = ("     #     ", "     #     ", "           ", "     #     ", "     
 
 
 def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
-    """Four Rooms (Sutton, Precup and Singh 1999), cell by cell: 1 on arrival at the goal, 0 for all else.
+    """Four Rooms (Sutton, Precup and Singh 1999), cell by cell: reward 1 at the goal, 0 otherwise.
 
     Args:
-        slip: `any` for the paper's moves, 1/9 for each other direction; `neighbour` for a free neighbour once in three
-            moves (Bacon, Harb and Precup 2017); `none`.
-        row: of the goal, from 0 at the top; by default the goal is the east hallway.
-        column: of the goal.
+        slip: `any` for the paper's moves, with probability 1/9 for each other direction; `neighbour` for a free
+            neighbouring cell in one of three moves (Bacon, Harb and Precup 2017); `none`.
+        row: row of the goal, from 0 at the top; by default the goal is the east hallway.
+        column: column of the goal.
     """
     goal = Place(column - 5.0, 5.0 - row)
     return RoomConfig(
@@ -107,12 +107,12 @@ KEY_CHEST = (" " * 15, " " * 15, "#############  ", " " * 15, " " * 15, "  #####
 
 
 def key_chest(random_start: bool = False) -> RoomConfig:
-    """Key-Chest of HRAC (Zhang et al. 2020), cell by cell: 1 for the key, 5 for the chest, 0 for all else.
+    """Key-Chest of HRAC (Zhang et al. 2020), cell by cell: reward 1 for the key, 5 for the chest, 0 otherwise.
 
-    One move in four is drawn from all four, so that one in 16 goes to each other side.
+    One move in four goes in a random direction, and each wrong direction therefore has probability 1/16.
 
     Args:
-        random_start: episodes begin in any cell, as the option of that name in HRAC's program.
+        random_start: episodes begin in any cell, like the option of that name in HRAC's code.
     """
     return RoomConfig(
         name="key-chest",
@@ -130,7 +130,7 @@ def foraging(worms: int = 4) -> RoomConfig:
     """Foraging (Singh, Lewis, Barto and Sorg 2010), cell by cell: three corridors of three cells, joined at the left.
 
     Args:
-        worms: number to eat before the episode ends, 1 to 100.
+        worms: number of worms to eat before the episode ends, 1 to 100.
     """
     ends = Pads(1.2, 1.2, tuple(Place(2, y) for y in (2, 0, -2)))
     return RoomConfig(
@@ -145,7 +145,7 @@ def foraging(worms: int = 4) -> RoomConfig:
 
 
 def puddle_world() -> RoomConfig:
-    """Puddle World (Boyan and Moore 1995; Sutton 1996) on the lattice of its moves, which are without noise here."""
+    """Puddle World (Boyan and Moore 1995; Sutton 1996) on the lattice of its moves, without noise."""
     return RoomConfig(
         name="puddle-world",
         room=ShapeConfig(width=21, depth=21),
@@ -164,12 +164,12 @@ def mini_grid(level: DrawnLevel, size: int, rooms: int = 3, largest: int = 5) ->
     Args:
         level: `door-key`, `key-corridor` or `multi-room`.
         size: side of the map with its outer walls, or of each room of a corridor.
-        rooms: rooms above one another, or one after another.
-        largest: largest side of one of several rooms, walls included.
+        rooms: number of rooms above each other, or in a row.
+        largest: largest side of a room in a row, walls included.
     """
     wide, high = (3 * (size - 1) - 1, rooms * (size - 1) - 1) if level == "key-corridor" else (size - 2, size - 2)
     steps = {"door-key": 10 * size**2, "key-corridor": 30 * size**2, "multi-room": 20 * rooms}
-    side = 2 if min(wide, high) > 2 else 5  # rooms are 5 m wide at the least
+    side = 2 if min(wide, high) > 2 else 5  # rooms are at least 5 m wide
     return RoomConfig(
         name=level, puzzle=MiniGridConfig(level, size, rooms, largest),
         room=ShapeConfig(width=side * wide, depth=side * high, cell=side),
@@ -194,13 +194,13 @@ def key_corridor(size: int = 4, rooms: int = 3) -> RoomConfig:
 
     Args:
         size: side of each room, walls included; MiniGrid registers 3 to 6.
-        rooms: rooms above one another; 1 to 3.
+        rooms: number of rooms above each other, 1 to 3.
     """
     return mini_grid("key-corridor", size, rooms)
 
 
 def multi_room(rooms: int = 4, largest: int = 5, size: int = 15) -> RoomConfig:
-    """MiniGrid's MultiRoom: open door after door, to the goal in the last room.
+    """MiniGrid's MultiRoom: open one door after another to reach the goal in the last room.
 
     Args:
         rooms: number of rooms.
@@ -211,16 +211,16 @@ def multi_room(rooms: int = 4, largest: int = 5, size: int = 15) -> RoomConfig:
 
 
 def sokoban(size: int = 6, boxes: int = 2, rows: tuple[str, ...] = ()) -> RoomConfig:
-    """Sokoban, cell by cell, with the rewards of gym-sokoban; the instance seed draws the level, unless it is given.
+    """Sokoban, cell by cell, with the rewards of gym-sokoban. The instance seed draws the level, unless it is given.
 
     Args:
-        size: side of drawn levels, without the outer walls.
-        boxes: boxes of drawn levels, 1 to 7.
-        rows: a level, such as one of Boxoban's.
+        size: side of generated levels, without the outer walls.
+        boxes: number of boxes in generated levels, 1 to 7.
+        rows: an explicit level, such as a level of Boxoban.
     """
     level = tidy_level(rows) if rows else (" " * size,) * size
     wide, high = len(level[0]), len(level)
-    side = 2 if min(wide, high) > 2 else 5  # rooms are 5 m wide at the least
+    side = 2 if min(wide, high) > 2 else 5  # rooms are at least 5 m wide
     return RoomConfig(
         name="sokoban", puzzle=SokobanConfig(size, boxes, level if rows else ()),
         room=ShapeConfig(width=side * wide, depth=side * high, cell=side),
@@ -231,9 +231,9 @@ def sokoban(size: int = 6, boxes: int = 2, rows: tuple[str, ...] = ()) -> RoomCo
 
 
 def paper_room(buttons: int) -> RoomConfig:
-    """The paper's text: 20 x 20 m, 1 m and 10 degrees, large buttons, start in the middle.
+    """The room of the paper's text: 20 x 20 m, steps of 1 m and 10 degrees, large buttons, start in the middle.
 
-    The best known returns are 91 (one button: nine strafes left) and 66 (two buttons).
+    The best known returns are 91 (one button: nine strafes to the left) and 66 (two buttons).
     """
     side = 10.0 if buttons == 1 else 6.0
     return RoomConfig(
@@ -251,10 +251,10 @@ def paper_room(buttons: int) -> RoomConfig:
 
 
 def paper_random(most: int = 4) -> RoomConfig:
-    """The paper's room, randomised by the instance seed: number, sizes and places of buttons, graph, goal, start, exit.
+    """The paper's room with random number, sizes and places of buttons, graph, goal, start and exit.
 
     Args:
-        most: largest number of buttons, 1 to 16; the walls hold fewer the larger they are.
+        most: largest number of buttons, 1 to 16. The walls hold fewer if buttons are large.
     """
     if not isinstance(most, int) or not 1 <= most <= 16:
         raise ConfigError("paper-random most", most, "a whole number from 1 to 16")
@@ -271,12 +271,12 @@ def paper_random(most: int = 4) -> RoomConfig:
 
 
 def larg_2019(size: int = 2, seed: int = 14, handicap: float = 6.0) -> RoomConfig:
-    """The published 2019 code as measured: geometry, displacements, graph, reset rule, reward and cap.
+    """The room of the published 2019 code: geometry, displacements, graph, reset rule, reward and horizon.
 
     Args:
         size: number of buttons, 1 to 4.
         seed: seed of the button graph.
-        handicap: side in metres of buttons and exit.
+        handicap: side of buttons and exit, m.
     """
     if not isinstance(size, int) or not 1 <= size <= 4:
         raise ConfigError("larg-2019 size", size, "a whole number from 1 to 4")
@@ -302,7 +302,7 @@ def larg_2019(size: int = 2, seed: int = 14, handicap: float = 6.0) -> RoomConfi
 
 def ladder_room(name: str, count: int, graph: GraphConfig, size: float = 20.0, dead_ends: int = 0, **parts: Any
                 ) -> RoomConfig:
-    """A rung of the ladder: small buttons anywhere on the walls, random start and exit."""
+    """Return a rung of the ladder: small buttons anywhere on the walls, random start and exit."""
     puzzle = ButtonsConfig(count=count, graph=graph, buttons=Panels(width=1.5), dead_ends=dead_ends)
     settings: dict[str, Any] = {"robot": RobotConfig(body_radius=0.5), "puzzle": puzzle,
                                 "room": ShapeConfig(width=size, depth=size)}
@@ -325,7 +325,7 @@ def clutter() -> RoomConfig:
 
 
 def arm_two_button() -> RoomConfig:
-    """Two small buttons at different heights, which only the hand of a 3-joint arm can press."""
+    """Two small buttons at different heights, which require the hand of a 3-joint arm."""
     return RoomConfig(
         name="arm-two-button",
         room=ShapeConfig(width=12, depth=12),
@@ -342,12 +342,12 @@ def bit_flip() -> RoomConfig:
 
 
 def blocks_world(count: int = 4, hand: bool = False, problem: str | None = None) -> RoomConfig:
-    """Blocks World: towers are taken apart and built with a gripper.
+    """Blocks World: take towers apart and build them with a gripper.
 
     Args:
         count: number of blocks, 2 to 12; larger rooms hold more.
         hand: the hand of a 3-joint arm grips, instead of the body.
-        problem: a PDDL problem of the domain with four operators, instead of drawn towers.
+        problem: a PDDL problem of the domain with four operators, instead of random towers.
     """
     if not hand:
         return RoomConfig(name="blocks-world", puzzle=BlocksWorldConfig(count, problem),
@@ -358,7 +358,7 @@ def blocks_world(count: int = 4, hand: bool = False, problem: str | None = None)
 
 
 def push_block() -> RoomConfig:
-    """Push a block onto a plate: continuous puzzle state that only physics dynamics can change."""
+    """Push a block onto a plate: the continuous state of the puzzle requires physics dynamics."""
     return RoomConfig(name="push-block", puzzle=PushBlockConfig(), robot=RobotConfig(body_radius=0.4, move_step=0.5),
                       room=ShapeConfig(width=10, depth=10), dynamics=DynamicsConfig(kind="physics"))
 
@@ -378,10 +378,10 @@ def recipes(goal: Craft = "diamond") -> RoomConfig:
 
 
 def deep_sea(size: int = 10) -> RoomConfig:
-    """Deep Sea of bsuite on two panels; the room adds no rewards of its own.
+    """Deep Sea of bsuite on two panels, without additional rewards of the room.
 
     Args:
-        size: rows and columns, 2 to 50.
+        size: number of rows and columns, 2 to 50.
     """
     return _panel_puzzle("deep-sea", DeepSeaConfig(size=size), exit=EVERYWHERE, reward=RewardConfig(step=0.0, exit=0.0))
 
@@ -429,7 +429,7 @@ def get_preset(name: str, **arguments: Any) -> RoomConfig:
 
     Raises:
         UnknownNameError: no preset of that name.
-        ConfigError: the preset takes no such argument, or not that value.
+        ConfigError: the preset has no such argument, or the value is not valid.
     """
     if not isinstance(name, str) or name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
@@ -444,7 +444,7 @@ def read_config(form: ConfigForm) -> RoomConfig:
 
     Raises:
         UnknownNameError: no preset of that name, or no such field.
-        ConfigError: an impossible value.
+        ConfigError: a value is not valid.
     """
     if isinstance(form, RoomConfig):
         return form
@@ -456,12 +456,12 @@ def read_config(form: ConfigForm) -> RoomConfig:
 
 
 def make_env_name(preset: str) -> str:
-    """CamelCase name of a preset's environment id: `paper-two-button` gives `PaperTwoButton`."""
+    """Return the CamelCase name in a preset's environment id: `paper-two-button` gives `PaperTwoButton`."""
     return "".join(word.capitalize() for word in preset.split("-"))
 
 
 def describe_config(config: RoomConfig) -> str:
-    """One line about the rooms that a room configuration gives: sizes, puzzle, obstacles, robot, dynamics."""
+    """Return one line about a room configuration: sizes, puzzle, obstacles, robot, dynamics."""
     parts = [f"{config.room.width:g} x {config.room.depth:g} m"]
     if config.room.rooms != 1:
         parts.append(f"{config.room.rooms} rooms")

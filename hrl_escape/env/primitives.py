@@ -1,8 +1,8 @@
-"""The action table: the primitive that each action number stands for (paper, table 3).
+"""The action table: the primitive of each action number (paper, table 3).
 
-The only definition, read by engines, planners, options, drawings and the command line. No other module knows how many
-primitives there are, in which order they stand, which of them are moves or how far these go. Lengths are metres, turns
-whole turn steps, in which headings are counted.
+This is the only definition of the primitives. Engines, planners, options, drawings and the command line read it; all
+other modules are independent of the number of primitives, their order, and how far moves go. Lengths are in metres,
+turns in whole turn steps.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range, Settings
 
 DriveKind = Literal["strafing", "differential"]
-"""Drives of the base: one that moves along and across its heading, or one that moves along it only."""
+"""Drives of the base: moves along and across its heading, or along it only."""
 
 
 class Primitive(NamedTuple):
     """One primitive action.
 
     Attributes:
-        name: such as `strafe-left` or `joint-2-decrement`.
+        name: name, such as `strafe-left` or `joint-2-decrement`.
         forward: displacement along the heading, m.
         left: displacement to the left of the heading, m.
         turn: turn steps, counter-clockwise positive.
         joint: index of the joint that moves, or -1.
-        joint_change: joint steps.
+        joint_change: change of the joint, joint steps.
         grip: 1 to grip, -1 to release, 2 to use.
     """
 
@@ -45,11 +45,11 @@ class Primitive(NamedTuple):
 
     @property
     def length(self) -> float:
-        """Length of its displacement, m."""
+        """Length of the displacement, m."""
         return math.hypot(self.forward, self.left)
 
     def compute_move(self, cos: Any, sin: Any, scale: float = 1.0) -> tuple[Any, Any]:
-        """Displacement along x and y at a heading, `scale` times over, m; takes numbers and arrays alike."""
+        """Return the displacement along x and y at a heading, times `scale`, m. Accepts numbers and arrays."""
         forward, left = scale * self.forward, scale * self.left
         return forward * cos - left * sin, forward * sin + left * cos
 
@@ -60,7 +60,7 @@ class Move(Settings):
 
     _section = "move"
     name: str = "leap"
-    """Name that no other primitive of the robot has."""
+    """Unique name among the robot's primitives."""
     forward: Annotated[float, Range(-20, 20, "m")] = 0.0
     """Displacement along the heading."""
     left: Annotated[float, Range(-20, 20, "m")] = 0.0
@@ -69,7 +69,7 @@ class Move(Settings):
     """Turn on the spot, counter-clockwise positive."""
 
     def check(self) -> None:
-        """Check that it either moves or turns."""
+        """Check that the primitive either moves or turns."""
         if not self.name:
             raise ConfigError("move.name", self.name, "a name")
         if bool(self.turn) == bool(self.forward or self.left):
@@ -87,25 +87,26 @@ class JointActions(NamedTuple):
 class ActionTable:
     """The primitives of a robot in action order: translations, turns, joints, gripper.
 
-    The groups hold action numbers. Those of the base come first and are the same for every robot with its drive.
+    The groups are ranges of action numbers. Primitives of the base come first and are the same for all robots with the
+    same drive and the same moves.
     """
 
     primitives: tuple[Primitive, ...]  # all primitives; an action is an index
     names: tuple[str, ...]  # their names
-    translations: range  # moves of the base at its heading: those of the drive, `forward` first, then further ones
-    turns: range  # turns of the base: one turn step to the left, one to the right, then further ones
+    translations: range  # moves of the base at its heading: `forward`, the others of the drive, then additional ones
+    turns: range  # turns of the base: one turn step to the left, one to the right, then additional ones
     base: range  # translations and turns
-    joints: tuple[JointActions, ...]  # the pair of each joint
+    joints: tuple[JointActions, ...]  # increment and decrement of each joint
     gripper: range  # grip, release, and use if the robot has it; empty without a gripper
     wait: int  # the no-op: it never moves the base's axis, and with a disc base it never begins a press
-    symmetry: int  # number of headings, evenly spread over a full turn, at which the base has the same moves
+    symmetry: int  # number of evenly spaced headings with the same moves
 
     def __len__(self) -> int:
         return len(self.primitives)
 
     @property
     def stride(self) -> float:
-        """Length of `forward`, m: planners derive their grids from it, and grip and use reach that far ahead."""
+        """Length of `forward`, m. Grids of planners depend on it, and grip and use reach that far ahead."""
         return self.primitives[0].forward
 
     @cached_property
@@ -115,7 +116,7 @@ class ActionTable:
 
     @cached_property
     def longest(self) -> float:
-        """Length of the longest translation, m: no primitive moves the base's axis farther."""
+        """Length of the longest translation, m: the largest displacement of any primitive."""
         return float(self.lengths.max())
 
     @cached_property
@@ -125,7 +126,7 @@ class ActionTable:
 
     def compute_moves(self, cos: NDArray[np.float64], sin: NDArray[np.float64], scale: float = 1.0
                       ) -> NDArray[np.float64]:
-        """Displacements of all translations at headings, `scale` times over, m, shape (headings, translations, 2)."""
+        """Return the displacements of all translations at headings, times `scale`, m, (headings, translations, 2)."""
         moves = [np.stack(self.primitives[action].compute_move(cos, sin, scale), axis=-1)
                  for action in self.translations]
         return np.stack(moves, axis=1)
@@ -149,7 +150,7 @@ _WAIT = "turn-left"
 @lru_cache
 def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing", use: bool = False,
                       move_step: float = 1.0, moves: tuple[Move, ...] = ()) -> ActionTable:
-    """Make the action table of a robot, with further moves of the base; names number its joints from 1."""
+    """Make the action table of a robot with optional additional moves. Names number the joints from 1."""
     further = tuple(Primitive(move.name, move.forward, move.left, move.turn) for move in moves)
     translations = (*(Primitive(name, forward * move_step, left * move_step) for name, forward, left in _DIRECTIONS
                       if drive == "strafing" or not left), *(move for move in further if not move.turn))
@@ -178,7 +179,7 @@ def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "st
 
 
 def _count_symmetry(moves: tuple[Primitive, ...]) -> int:
-    """The `symmetry` of translations under quarter and half turns: 4, 2 or 1."""
+    """Symmetry of translations under quarter and half turns: 4, 2 or 1."""
     ways = {(move.forward, move.left) for move in moves}
     if ways == {(-left, forward) for forward, left in ways}:
         return 4
@@ -189,9 +190,10 @@ SlipKind = Literal["stay", "lateral", "lateral-if-free", "any", "neighbour"]
 
 
 def list_slips(kind: SlipKind, actions: ActionTable, action: int) -> tuple[int, ...]:
-    """Translations that a slip may turn into, equally likely; those of `neighbour` must also be free.
+    """Return the translations that a slip can turn an action into, all equally likely.
 
-    `lateral`: those at right angles to it; `any`: all others; `neighbour`: all; none of another primitive.
+    `lateral`: translations at right angles to it; `any`: all others; `neighbour`: all, if they are free. Empty for
+    primitives that do not translate.
     """
     if action not in actions.translations:
         return ()

@@ -1,9 +1,8 @@
 """The robot: a wheeled base with an arm, as one URDF text that every engine and planner loads.
 
-A generated arm, two arms that ship with pybullet_data, or the user's own URDF is mounted on
-the base. The kinematic chain to the hand is read back from that same text, so the hand's
-position here, in Bullet and in Pinocchio is one and the same. Frame `base`: origin on the
-floor below the base's axis, x ahead, z up. Metres, radians.
+The arm is generated, comes with pybullet_data, or is the user's own URDF. The kinematic chain to the hand is read from
+the same text, which gives the same hand position here, in Bullet and in Pinocchio. Frame `base`: origin on the floor
+below the base's axis, x ahead, z up. Lengths in metres, angles in radians.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ _ARM_AXES = ("0 0 1", "0 -1 0", "0 -1 0", "1 0 0", "0 -1 0", "0 0 1", "0 -1 0")
 
 @dataclasses.dataclass(frozen=True)
 class _Joint:
-    """One joint of the chain from the base to the hand."""
+    """A joint of the chain from the base to the hand."""
 
     name: str
     kind: str
@@ -52,20 +51,20 @@ class _Joint:
 
     @cached_property
     def rows(self) -> tuple[tuple[float, ...], ...]:
-        """Rotation and position, three rows of four numbers."""
+        """Rotation and position as three rows of four numbers."""
         return tuple(tuple(row) for row in self.origin[:3].tolist())
 
     @cached_property
     def direction(self) -> tuple[float, ...]:
-        """The axis as numbers."""
+        """Axis of the joint as plain numbers."""
         return tuple(self.axis.tolist())
 
     def move(self, x: Any, y: Any, z: Any, value: Any) -> tuple[Any, Any, Any]:
-        """Move a point past the joint by the joint's angle in rad (or m); coordinates in the joint's own frame."""
+        """Return a point after a motion of the joint by `value` rad (or m), in the joint's frame."""
         a, b, c = self.direction
         if self.kind == "prismatic":
             return x + a * value, y + b * value, z + c * value
-        cos, sin = np.cos(value), np.sin(value)  # Rodrigues
+        cos, sin = np.cos(value), np.sin(value)  # Rodrigues' rotation formula
         along = (a * x + b * y + c * z) * (1.0 - cos)
         return (x * cos + (b * z - c * y) * sin + a * along, y * cos + (c * x - a * z) * sin + b * along,
                 z * cos + (a * y - b * x) * sin + c * along)
@@ -73,20 +72,20 @@ class _Joint:
 
 @dataclasses.dataclass(frozen=True)
 class Robot:
-    """A robot ready for use; joint arrays are in the order of the action space.
+    """A robot in the form that engines and planners use. Joint arrays follow the order of the action space.
 
     Attributes:
         urdf: the whole robot as URDF text; its root link is `BASE_LINK`.
-        joint_names: the joints that primitives move.
-        hand_link: the link with the hand at its origin.
-        home: joint angles at the start of an episode, rad: zero if the limits allow it, else their middle.
+        joint_names: joints that primitives move.
+        hand_link: link whose origin is the hand.
+        home: joint angles at the start of an episode, rad: zero if the limits allow it, otherwise the middle of them.
         step: angle of one joint primitive, rad.
-        step_low: fewest joint steps from home that stay within the limits (<= 0).
-        step_high: most joint steps from home that stay within the limits (>= 0).
+        step_low: fewest joint steps from home within the limits (<= 0).
+        step_high: most joint steps from home within the limits (>= 0).
         limits: (low, high) of each joint, rad.
-        speeds: largest speed of each joint, rad/s; infinite where the URDF states none.
-        efforts: largest torque of each joint, N m; infinite where the URDF states none.
-        chain: joints from the base to the hand, moving or not.
+        speeds: largest speed of each joint, rad/s; infinite if the URDF states none.
+        efforts: largest torque of each joint, N m; infinite if the URDF states none.
+        chain: joints from the base to the hand, fixed ones included.
         rest: angles of the moving joints that no primitive moves and that follow none that one moves, by name, rad
             (or m).
         mimics: joints that follow one that primitives move: its number, multiplier and offset, rad (or m), by name.
@@ -115,24 +114,24 @@ class Robot:
 
     def compute_angles(self, joint_steps: tuple[int, ...],
                        joint_offsets: tuple[float, ...] = ()) -> tuple[float, ...]:
-        """Joint angles in rad after whole steps from home (and noise's offsets)."""
+        """Return joint angles in rad after whole steps from home, plus the offsets that noise added."""
         offsets = joint_offsets or (0.0,) * len(joint_steps)
         return tuple(home + n * self.step + extra
                      for home, n, extra in zip(self.home, joint_steps, offsets, strict=True))
 
     def compute_hand(self, angles: ArrayLike, links: int | None = None) -> NDArray[np.float64]:
-        """Hand position in the base frame.
+        """Return the position of the hand in the base frame.
 
         Args:
             angles: joint angles in rad, shape (..., joints).
-            links: the position is that of the end of the chain's first so many links; None for all of them.
+            links: number of links to follow; the position is the end of the last one. By default the whole chain.
 
         Returns:
-            Shape (..., 3), float64, metres.
+            Positions in metres, float64, shape (..., 3).
         """
         q = np.asarray(angles, dtype=np.float64)
         x, y, z, values = 0.0, 0.0, 0.0, self.compute_values(np.moveaxis(q, -1, 0))
-        for joint in reversed(self.chain[:links]):  # the hand in the frame before each joint
+        for joint in reversed(self.chain[:links]):  # `x, y, z` is the hand in the frame before each joint
             if joint.kind != "fixed":
                 x, y, z = joint.move(x, y, z, values[joint.name])
             (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = joint.rows
@@ -143,11 +142,11 @@ class Robot:
         return hand
 
     def trace_links(self, angles: ArrayLike) -> NDArray[np.float64]:
-        """Ends of the arm's links, the last of them the hand, in the base frame, shape (links, 3), m."""
+        """Return the ends of the arm's links in the base frame, the hand last, shape (links, 3), m."""
         return np.array([self.compute_hand(angles, number + 1) for number in range(len(self.chain))])
 
     def compute_elbows(self, angles: tuple[float, ...]) -> NDArray[np.float64]:
-        """Polyline of the arm: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""
+        """Return the arm as a polyline: origins of the joints and the hand in the base frame, shape (n, 3), m."""
         values = self.compute_values(angles)
         at, places = np.eye(4), []
         for joint in self.chain:
@@ -161,15 +160,16 @@ class Robot:
 
 
 def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
-    """Hand positions in the base frame, (configurations, 3), m, on the whole joint lattice or at `count` fixed samples.
+    """Return hand positions in the base frame, shape (configurations, 3), m.
 
-    The same robot and count give the same positions in any process.
+    They cover the whole joint lattice, or `count` fixed samples if the lattice is larger. The same robot and count
+    give the same positions in every process.
     """
     return robot.compute_hand(np.array(robot.home) + robot.step * sample_joint_steps(robot, count))
 
 
 def sample_joint_steps(robot: Robot, count: int) -> NDArray[np.int64]:
-    """Configurations of `sample_hand_positions` in whole steps from home, shape (configurations, joints), int64."""
+    """Return the configurations of `sample_hand_positions` in whole steps from home, int64 (configurations, joints)."""
     low, high = np.array(robot.step_low, dtype=np.int64), np.array(robot.step_high, dtype=np.int64)
     sizes = (high - low + 1).tolist()
     total = math.prod(sizes)
@@ -180,7 +180,7 @@ def sample_joint_steps(robot: Robot, count: int) -> NDArray[np.int64]:
 
 
 def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices (..., 3, 3) about a unit axis (Rodrigues)."""
+    """Rotation matrices (..., 3, 3) about a unit axis, by Rodrigues' formula."""
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, cosine = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
@@ -196,10 +196,10 @@ def _find_shipped(file: str) -> Path:
 
 @lru_cache(maxsize=64)
 def make_robot(config: RobotConfig) -> Robot:
-    """Build the robot of a room configuration; the same config gives the same object.
+    """Build the robot of a room configuration. Equal configurations give the same object.
 
     Raises:
-        EscapeError: the arm's URDF lacks the hand link, a mesh, or joints; or its meshes are too large.
+        EscapeError: the URDF of the arm lacks the hand link, a mesh or joints, or its meshes are too large.
     """
     if config.kind in _SHIPPED:
         file, hand = _SHIPPED[config.kind]
@@ -228,7 +228,7 @@ def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str = 
 
 
 def _make_arm(config: RobotConfig) -> ElementTree.Element:
-    """Make the generated arm: links in a row along x, whose joints turn about the first of `_ARM_AXES`."""
+    """Make the generated arm: links in a row along x, with joints about the axes of `_ARM_AXES`."""
     arm = ElementTree.Element("robot", name="arm")
     if not config.joints:
         return arm
@@ -258,10 +258,10 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
         children = {child.get("link") for child in arm.iterfind("joint/child")}
         roots = sorted(links - children)
         if len(roots) != 1:
-            raise RobotError(f"the arm's URDF must have one root link, not {roots or 'a circle of joints'}")
+            raise RobotError(f"the arm's URDF must have one root link, got {roots or 'a circle of joints'}")
         taken = [name for name in (BASE_LINK, _MOUNT_JOINT) if arm.find(f"*[@name='{name}']") is not None]
         if taken:
-            raise RobotError(f"the arm's URDF uses the name {taken[0]!r}, the mobile base's own: rename it")
+            raise RobotError(f"the arm's URDF uses the name {taken[0]!r}, which the mobile base uses. Rename it")
         place = f"{config.mount_forward!r} 0 {config.body_height!r}"
         whole.append(_joint(_MOUNT_JOINT, "fixed", BASE_LINK, roots[0], place))
         whole.extend([*arm.findall("link"), *arm.findall("joint")])
@@ -269,7 +269,7 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
 
 
 def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
-    """Read a joint; returns it and the name of its parent link."""
+    """Return a joint and the name of its parent link."""
     name, kind = element.get("name", ""), element.get("type", "fixed")
     if kind not in ("fixed", *_MOVING):
         raise RobotError(f"joint {name!r} of the URDF is {kind!r}; valid are fixed, {', '.join(_MOVING)}")
@@ -282,7 +282,7 @@ def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
     if kind != "fixed":
         length = float(np.linalg.norm(axis))
         if length == 0.0:
-            raise RobotError(f"joint {name!r} of the URDF moves about the axis 0 0 0")
+            raise RobotError(f"joint {name!r} of the URDF has the axis 0 0 0; give it a direction, such as 0 0 1")
         axis = axis / length
     low, high = -math.pi, math.pi
     limit = element.find("limit")
@@ -338,7 +338,7 @@ def _find_chain(whole: ElementTree.Element, hand: str) -> tuple[list[_Joint], li
     """Joints from the base to the hand, and all joints."""
     links = [link.get("name", "") for link in whole.findall("link")]
     if hand not in links:
-        raise RobotError(f"robot.hand_link: no link {hand!r} in the URDF; its links are {', '.join(links)}")
+        raise RobotError(f"robot.hand_link: no link {hand!r} in the URDF; valid are {', '.join(links)}")
     above: dict[str, tuple[str, _Joint]] = {}
     for element in whole.findall("joint"):
         child = element.find("child")
@@ -371,7 +371,7 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
                 rest[joint.name] = factor * rest[source] + offset
             else:
                 mimics[joint.name] = [j.name for j in used].index(source), factor, offset
-    slack = 1e-9  # a limit a whole number of steps away can be reached
+    slack = 1e-9  # a limit that is a whole number of steps away stays reachable despite rounding
     return Robot(
         urdf=ElementTree.tostring(whole, encoding="unicode"),
         joint_names=tuple(joint.name for joint in used),

@@ -1,8 +1,8 @@
-"""Base of room configurations: settings whose plain values determine the ids of rooms.
+"""Base class of room configurations: settings whose plain values determine the ids of rooms.
 
-Plain values leave out fields at their default, so that a field added to any room configuration, with a default that
-means the former behaviour, leaves every id unchanged. The fields below are always written, for ids have counted them
-from the first; the list is closed: no new class or field has a place in it.
+Plain values omit fields at their default. A field added later leaves every id unchanged, provided that its default
+means the former behaviour. The fields below are always written, because the first ids included them. The list is
+closed: do not add classes or fields.
 """
 
 from __future__ import annotations
@@ -77,15 +77,15 @@ _ALWAYS_WRITTEN = {
     "TaxiPuzzle": "fickleness",
     "Wall": "x y to_x to_y",
 }  # fmt: skip
-"""Fields by the name of their class, with spaces between them."""
+"""Space-separated fields by the name of their class."""
 
 
 @dataclasses.dataclass(frozen=True)
 class HashedSettings(Settings):
-    """Base of settings whose values enter ids."""
+    """Base class of settings whose values are part of ids."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Nested plain values, without fields at their default but for those that have been there from the first."""
+        """Return nested plain values. Fields at their default are omitted, except those listed in this module."""
         always = _ALWAYS_WRITTEN.get(type(self).__name__, "").split()
         unchanged = {field.name for field in dataclasses.fields(self)
                      if field.name not in always and getattr(self, field.name) == field.default}

@@ -1,6 +1,6 @@
 """Lidar and lines of sight from one place among fixed outlines, fast enough for every step.
 
-The rays of a heading are tabulated once, so that a scan is a few products over all rays and outlines. Metres, radians.
+The rays of a heading are tabulated once, and a scan is then a few products over all rays and outlines. Metres, radians.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 
 SIGHT_SLACK = 1e-3
-"""Distance from an object within which nothing hides it, m, in addition to its own half thickness."""
+"""Distance from an object, m, within which other solids never hide it, in addition to its half thickness."""
 _TINY = 1e-30  # replaces a zero component of a direction
 
 
 def list_hiders(instance: RoomInstance) -> list[Footprint]:
-    """Outlines that can stand between two places on the floor; outer walls of a room without an alcove cannot.
+    """List the outlines that can hide one place on the floor from another, without the exit door.
 
-    The door is not among them.
+    The outer walls of a room without an alcove cannot.
     """
     footprints = [solid.footprint for solid in instance.solids]
     if instance.door is not None:
@@ -31,7 +31,7 @@ def list_hiders(instance: RoomInstance) -> list[Footprint]:
 
 
 def _reaches_into(shape: Footprint, half_width: float, half_depth: float) -> bool:
-    """Return whether the rectangle round an outline overlaps the open floor."""
+    """Return whether the bounding rectangle of an outline overlaps the open floor."""
     if shape.is_disc:
         wide = high = shape.half_x
     else:
@@ -42,7 +42,7 @@ def _reaches_into(shape: Footprint, half_width: float, half_depth: float) -> boo
 
 
 class Scanner:
-    """Rays among some outlines; lidar bearings are from straight ahead, counter-clockwise."""
+    """Rays among fixed outlines. Lidar bearings are counter-clockwise from straight ahead."""
 
     def __init__(self, shapes: Sequence[Footprint], bearings: NDArray[np.float64]) -> None:
         boxes = np.array([shape[1:] for shape in shapes if not shape.is_disc], dtype=np.float64).reshape(-1, 6).T
@@ -56,9 +56,9 @@ class Scanner:
         self._tables: dict[int, tuple[NDArray[np.float64], ...]] = {}
 
     def measure(self, x: float, y: float, cos: float, sin: float, key: int | None = None) -> NDArray[np.float64]:
-        """Range of each lidar ray from (x, y) to the first outline; infinity where it meets none, 0 inside one.
+        """Return the range of each lidar ray from (x, y) to the first outline; infinity for a miss, 0 inside one.
 
-        Rays of a heading are cached under a key of it, if one is given.
+        With a `key` of the heading, the rays of that heading are cached.
         """
         table = None if key is None else self._tables.get(key)
         if table is None:
@@ -69,7 +69,7 @@ class Scanner:
         return self._meet(x, y, table)
 
     def see(self, x: float, y: float, points: NDArray[np.float64], slack: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return for each point (n, 2) whether it is in sight of (x, y); nothing hides the last `slack` (n,), m."""
+        """Return whether each point (n, 2) is in sight of (x, y). Solids never hide the last `slack` (n,) m."""
         away_x, away_y = points[:, 0] - x, points[:, 1] - y
         distance = np.hypot(away_x, away_y)
         per_metre = 1.0 / np.maximum(distance, _TINY)

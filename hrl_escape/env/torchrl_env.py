@@ -1,8 +1,7 @@
 """Thousands of Escape Rooms as one TorchRL environment over the batched engine.
 
-It is batch-locked: its batch size is (num_envs,). Rules and observations are those of
-`vector_env.py`; tensors stay on its device, and resets follow TorchRL's `_reset` masks instead
-of Gymnasium's modes.
+It is batch-locked: its batch size is (num_envs,). Rules and observations equal those in `vector_env.py`. Tensors stay
+on the device of the rooms, and resets follow TorchRL's `_reset` masks.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ Vector = TypeVar("Vector", bound=BatchVectorEnv)
 
 
 class BatchTorchRLEnv(EnvBase, Generic[Vector]):
-    """Base of TorchRL's environments over the batched engine: their specs, seeds, and resets by mask.
+    """Base class of TorchRL environments over the batched engine: specs, seeds, and resets by mask.
 
-    `set_seed(n)` seeds room i with n + i at its next reset; without it, seeds come from the system's entropy.
+    `set_seed(n)` seeds room i with n + i at its next reset. Without it, the system's entropy seeds the rooms.
 
     Args:
-        rooms: the rooms, with resets disabled, that give tensors.
-        shown: specs of the keys beside the observation.
+        rooms: vector environment with tensor output and resets disabled.
+        shown: specs of the keys in addition to the observation.
     """
 
     def __init__(self, rooms: Vector, shown: dict[str, Any]) -> None:
@@ -54,7 +53,7 @@ class BatchTorchRLEnv(EnvBase, Generic[Vector]):
 
     @abstractmethod
     def _show(self, info: dict[str, Any]) -> dict[str, Tensor]:
-        """Values of the keys beside the observation."""
+        """Return the values of the keys in `shown`."""
 
     def _get_reward(self, reward: Tensor, info: dict[str, Any]) -> Tensor:
         return reward
@@ -88,11 +87,11 @@ class BatchTorchRLEnv(EnvBase, Generic[Vector]):
 
 
 class EscapeRoomTorchRLEnv(BatchTorchRLEnv[EscapeRoomVectorEnv]):
-    """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
+    """Many rooms that step together. `EscapeRoomEnv` describes the task.
 
-    Keys, all with the batch size (num_envs,) in front: `observation` (float32), `action` (int64, categorical),
-    `reward` (float32, 1), `done`, `terminated` and `truncated` (bool, 1), `buttons_on` (int8, one a target).
-    `terminated` is success, except in puzzles that can be failed. Rooms are seeded as in `BatchTorchRLEnv`.
+    Keys, each with the batch size (num_envs,) in front: `observation` (float32), `action` (int64, categorical),
+    `reward` (float32, 1), `done`, `terminated` and `truncated` (bool, 1), `buttons_on` (int8, one per target).
+    `terminated` means success, except in puzzles that can fail. `BatchTorchRLEnv` describes the seeds.
 
     Args:
         num_envs: number of rooms.
@@ -121,7 +120,7 @@ class EscapeRoomTorchRLEnv(BatchTorchRLEnv[EscapeRoomVectorEnv]):
         return {"buttons_on": info["buttons_on"]}
 
     def to(self, device: Any) -> EnvBase:
-        """Move the rooms and the specs; returns itself."""
+        """Move the rooms and the specs to a device. Returns the environment itself."""
         self.room.to(device)
         self._awaits_seed, self._is_over = self._awaits_seed.to(self.room.device), self._is_over.to(self.room.device)
         return super().to(device)

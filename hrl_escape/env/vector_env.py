@@ -1,8 +1,8 @@
 """Thousands of Escape Rooms as one Gymnasium `VectorEnv` over the batched engine.
 
-`gymnasium.make_vec("hrl_escape/PaperTwoButton-v1", num_envs=4096)` makes one. It has the spaces,
-observations, rewards and rules of `escape_room.py`; the observation `pixels` and physics are the
-Bullet engine's. Pictures are taken by the batch's own cameras.
+`gymnasium.make_vec("hrl_escape/PaperTwoButton-v1", num_envs=4096)` makes one. Spaces, observations, rewards and rules
+equal those in `escape_room.py`. The observation `pixels` and rigid-body physics require the Bullet engine. The batch
+renders pictures with its own cameras.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _AUTORESETS: dict[AutoresetMode, Autoreset] = {
 
 
 class BatchVectorEnv(VectorEnv):
-    """Base of Gymnasium's vector environments over the batched engine: kinds of reset, and arrays or tensors."""
+    """Base class of vector environments over the batched engine: reset modes, and numpy or torch output."""
 
     metadata: dict[str, Any] = {}
     autoreset_mode: AutoresetMode
@@ -69,28 +69,28 @@ class BatchVectorEnv(VectorEnv):
 
     @abstractmethod
     def _count_steps(self) -> int:
-        """Steps until an episode is truncated."""
+        """Largest number of steps in an episode, which is then truncated."""
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Specification by which `gymnasium.make_vec` made it; `max_episode_steps` is where episodes are truncated."""
+        """Specification that `gymnasium.make_vec` used; episodes are truncated after its `max_episode_steps`."""
         return self._spec
 
     @spec.setter
     def spec(  # pyright: ignore[reportIncompatibleVariableOverride]  # a plain attribute there
             self, spec: EnvSpec | None) -> None:
         self._spec = made = bound_episodes(spec, self._count_steps())
-        if made is not None:  # as `make_vec` writes down a registered limit
+        if made is not None:  # `make_vec` writes the registered limit into the specification
             made.kwargs = {**made.kwargs, "max_episode_steps": made.max_episode_steps}
 
     def _mark(self, infos: dict[str, Any], which: Tensor | None = None) -> dict[str, Any]:
-        """Add Gymnasium's mask `_key` of each key: the rooms in `which`, bool (num_envs,), or all. Each is its own."""
+        """Add Gymnasium's mask `_key` of each key: a copy of `which`, bool (num_envs,), or all true."""
         shape = len(infos), self.num_envs
         rows = torch.ones(shape, dtype=torch.bool, device=self.device) if which is None else which.repeat(shape[0], 1)
         return infos | {f"_{name}": row for name, row in zip(infos, self._give(rows), strict=True)}
 
     def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:
-        """Keys of all rooms, int64 (num_envs,), of a seed or one a room; None to continue the present streams."""
+        """Random keys of all rooms, int64 (num_envs,), from one seed or one per room, or None to keep the streams."""
         if seed is None and self._is_seeded:
             return None
         if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
@@ -105,7 +105,6 @@ class BatchVectorEnv(VectorEnv):
         return make_room_keys(seeds, self.device)
 
     def _limit(self, env: gymnasium.Env) -> gymnasium.Env:
-        """Give one of the rooms the same limit of steps."""
         return env if self._most_steps is None else gymnasium.wrappers.TimeLimit(env, self._most_steps)
 
     def _describe_own(self) -> dict[str, Any]:
@@ -114,10 +113,10 @@ class BatchVectorEnv(VectorEnv):
 
     def _check_open(self) -> None:
         if self.closed:
-            raise ClosedError("the environment was closed; make a new one")
+            raise ClosedError("the environment is closed. Make a new one")
 
     def _read_mask(self, options: dict[str, Any] | None) -> Tensor | None:
-        """Rooms to reset, bool (num_envs,), of the options of `reset`; None for all."""
+        """Rooms to reset, bool (num_envs,), from the options of `reset`, or None for all rooms."""
         options = dict(options or {})
         mask = options.pop("reset_mask", None)
         if options:
@@ -128,7 +127,7 @@ class BatchVectorEnv(VectorEnv):
         return where
 
     def _take(self, actions: Any) -> Tensor:
-        """Actions on the device, int64 or float64; a tensor is taken as it is, and checked by the engine."""
+        """Actions on the device, int64 or float64. Tensors are passed through; the engine checks them."""
         if isinstance(actions, Tensor):
             return actions
         array, is_whole = np.asarray(actions), self.action_space.dtype == np.int64
@@ -142,29 +141,29 @@ class BatchVectorEnv(VectorEnv):
 
 
 class EscapeRoomVectorEnv(BatchVectorEnv):
-    """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
+    """Many rooms that step together. `EscapeRoomEnv` describes the task.
 
     ## Spaces
     The actions and the vector observations of `EscapeRoomEnv`, batched over `num_envs`.
 
     ## Automatic reset
-    All three modes of Gymnasium. `NextStep`: the step after an episode's end ignores its action, begins the
-    next episode and earns 0. `SameStep`: the next episode begins at once; where any ended, `infos` holds
-    `final_obs` and `final_info` of the rooms in `_final_obs`. `Disabled`:
-    `reset(options={"reset_mask": mask})` resets the rooms in the mask.
+    All three modes of Gymnasium. `NextStep`: the step after the end of an episode ignores its action, begins the next
+    episode and has reward 0. `SameStep`: the next episode begins in the same step; `infos` holds `final_obs` and
+    `final_info` of the rooms marked in `_final_obs`. `Disabled`: `reset(options={"reset_mask": mask})` resets the rooms
+    in the mask.
 
     ## Information
-    Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `is_success` (bool), `pressed`
-    and `buttons_on` (int8, one a target) and `instance`: the number of each room's in `instances`, or the
-    content hash of the only one. With `output="torch"`, where there is no text, it is `instance_index`, the number.
+    Arrays over rooms, as in `SyncVectorEnv`: `primitives` (so far, int32), `is_success` (bool), `pressed` and
+    `buttons_on` (int8, one per target) and `instance`: the index of each room in `instances`, or the content hash if
+    there is only one. With `output="torch"`, `instance_index` (the index) replaces `instance`.
 
     ## Pictures
-    `take_pictures(camera, width, height)` gives colours, depth and labels of what each room's camera sees, as tensors
-    on the device. With `render_mode="rgb_array"`, `render()` gives the colours as a tuple of frames, one a room.
+    `take_pictures(camera, width, height)` returns colours, depth and labels from the camera of each room, as tensors on
+    the device. With `render_mode="rgb_array"`, `render()` returns the colours as a tuple of frames, one per room.
 
     ## Random numbers
-    `reset(seed=n)` seeds room i with n + i. What happens in a room depends on its own seed and actions, never on
-    the batch it is in.
+    `reset(seed=n)` seeds room i with n + i. The outcome in a room depends on its own seed and actions only, and is the
+    same in a batch of any size.
 
     ## Arguments
     Args:
@@ -176,15 +175,15 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         render_size: width and height of frames in pixels.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
-        max_episode_steps: steps after which an episode is truncated, if that is before the room's horizon.
+        max_episode_steps: largest number of steps in an episode, if smaller than the room's horizon.
         rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` and `compile`; see `Rooms`.
 
     ## Version history
-    v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
+    v1: the numbers of buttons do not reveal their order (`graph.relabel`). v0: first release.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
-    velocities: Any = None  # `Velocities` where actions are no primitives
+    velocities: Any = None  # `Velocities` in environments with continuous actions
 
     def __init__(
         self,
@@ -231,7 +230,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         """Begin new episodes.
 
         Args:
-            seed: room i gets seed + i, or its own from a list; None continues the present streams.
+            seed: room i gets seed + i, or its own from a list; by default the streams continue.
             options: `reset_mask`, bool (num_envs,): reset only these rooms.
         """
         self._check_open()
@@ -240,7 +239,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         return self._give(observation), self._make_infos(self.room.inform())
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Run one primitive in every room: whole numbers (num_envs,), a list, an array, or a tensor on the device."""
+        """Run one primitive in every room: integers (num_envs,) as a list, an array, or a tensor on the device."""
         self._check_open()
         seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(self._take(actions))
         infos = self._make_infos(info)
@@ -250,10 +249,10 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
 
     def take_pictures(self, camera: str = "robot", width: int = 84, height: int = 84) -> Pictures:
-        """Take a picture of every room as it is now, on the rooms' device.
+        """Take a picture of every room in its current state, on the device of the rooms.
 
         Args:
-            camera: `robot`, ahead from the front of the robot, or `overhead`.
+            camera: `robot`, the view ahead from the front of the robot, or `overhead`.
             width: pixels, from 8 to 2048.
             height: pixels, from 8 to 2048.
 
@@ -267,7 +266,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         return self._get_camera(camera, width, height).take()
 
     def render(self) -> tuple[Any, ...] | None:
-        """Take the frames of all rooms, uint8 (height, width, 3) each; None without a `render_mode`."""
+        """Take the frames of all rooms, uint8 (height, width, 3) each, or None without a `render_mode`."""
         if self.render_mode is None:
             return None
         return tuple(self.take_pictures(*self._view).rgb.cpu().numpy())

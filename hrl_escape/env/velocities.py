@@ -1,7 +1,7 @@
-"""Velocities as actions: their bounds, the motion that a step of time makes of them, and what the step is worth.
+"""Velocities as actions: their bounds, the motion of a time step, and its reward.
 
-A robot with a gripper has one number more, and one that can use a second one.
-They are levels, not velocities: whatever they ask for happens at the end of each step that asks for it.
+Robots with a gripper have one more number, robots that can use things a second one. These are levels, not velocities:
+the requested act happens at the end of each step.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ if TYPE_CHECKING:
 __all__ = ["GRIPPER_LEVEL", "Velocities", "count_levels", "find_grip", "list_levels"]
 
 GRIPPER_LEVEL = 0.5
-"""Level beyond which the gripper grips; it releases below minus that, and what is ahead is used beyond it."""
+"""Threshold of levels: above it the gripper grips or the robot uses, below its negative the gripper releases."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Velocities:
-    """Velocities of base and joints, held for a step of time.
+    """Bounds of the velocities of base and joints, constant over a time step.
 
     Raises:
-        ConfigError: a number that is not finite and above 0.
+        ConfigError: a number is not finite and positive.
     """
 
     time_step: float = 0.1  # s
     speed: float = 1.0  # largest speed of the base along each of its axes, m/s
-    turn_speed: float = 1.5  # rad/s
-    joint_speed: float = 1.0  # rad/s; a joint whose URDF allows less has that
-    time_limit: float | None = None  # s; None for as many seconds as a room's horizon has primitives
+    turn_speed: float = 1.5  # largest turn speed, rad/s
+    joint_speed: float = 1.0  # largest joint speed, rad/s; the URDF's limit applies if lower
+    time_limit: float | None = None  # s, or None for as many seconds as the horizon of the room has primitives
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
@@ -47,22 +47,22 @@ class Velocities:
                 raise ConfigError(name, value, "a finite number above 0")
 
     def list_bounds(self, robot: RobotConfig) -> tuple[float, ...]:
-        """Largest velocity forward, to the left where the base strafes, of the turn, and of each joint; then levels.
+        """Return the bounds of an action: velocity forward, to the left (if the base strafes), turn, joints, levels.
 
-        The levels, each up to 1, are those of the gripper and of use, where the robot has them.
+        The levels of the gripper and of use, if the robot has them, have the bound 1.
         """
         axes = 2 if robot.drive == "strafing" else 1
         joints = (min(self.joint_speed, top) for top in make_robot(robot).speeds)
         return (*[self.speed] * axes, self.turn_speed, *joints, *[1.0] * count_levels(robot))
 
     def count_steps(self, horizon: int) -> int:
-        """Steps until the time is up, in a room of some horizon."""
+        """Return the number of steps in the time limit, for a room with a given horizon."""
         seconds = (self.time_limit or horizon) - 1e-9
         count = math.ceil(seconds / self.time_step)
         return count + (count * self.time_step < seconds)
 
     def make_glide(self, rules: Rules, state: RoomState, rates: tuple[float, ...]) -> Glide:
-        """The motion of a step, along the heading in the middle of the turn, from velocities within their bounds."""
+        """Return the motion of a step from velocities within their bounds, along the mean heading of the turn."""
         robot = rules.instance.robot
         count = len(rates) - count_levels(robot)
         forward, *others = (rate * self.time_step for rate in rates[:count])
@@ -76,25 +76,25 @@ class Velocities:
                      find_grip(rates[count:]))
 
     def judge(self, done: Transition, instance: RoomInstance) -> Transition:
-        """The outcome of a step, from that of its motion as a primitive: its share of -1, and the limit of time."""
+        """Return the outcome of a step from its motion judged as a primitive: scale the cost, apply the time limit."""
         is_late = done.state.primitives >= self.count_steps(instance.horizon)
         return done._replace(reward=done.reward - self.compute_surplus(instance),
                              truncated=is_late and not done.terminated)
 
     def compute_surplus(self, instance: RoomInstance) -> float:
-        """Reward of a primitive beyond that of a step, which is shorter."""
+        """Return the difference between the reward of a primitive and of a step, which is shorter."""
         return instance.reward.step * (1.0 - self.time_step)
 
 
 def count_levels(robot: RobotConfig) -> int:
-    """Numbers of an action that are levels: 0, 1 for a gripper, 2 for one that can use, too."""
+    """Return how many numbers of an action are levels: 0, 1 with a gripper, 2 if the robot can also use things."""
     return max(0, len(robot.actions.gripper) - 1)
 
 
 def find_grip(levels: Sequence[float]) -> int:
-    """The primitive that levels ask for: 1 to grip, -1 to release, `USE` to use, 0 for none.
+    """Return the act that levels request: 1 to grip, -1 to release, `USE` to use, 0 for none.
 
-    A gripper that grips or releases does not use.
+    Gripping and releasing take precedence over using.
     """
     gripper, use = (*levels, 0.0, 0.0)[:2]
     if abs(gripper) > GRIPPER_LEVEL:
@@ -103,5 +103,5 @@ def find_grip(levels: Sequence[float]) -> int:
 
 
 def list_levels(robot: RobotConfig, grip: int) -> tuple[float, ...]:
-    """Levels that ask a robot for a primitive: 1 to grip, -1 to release, `USE` to use, 0 for none of them."""
+    """Return the levels that request an act: 1 to grip, -1 to release, `USE` to use, 0 for none."""
     return (float(grip) if abs(grip) == 1 else 0.0, float(grip == USE))[: count_levels(robot)]

@@ -1,4 +1,4 @@
-"""Rooms for agents that speak: tools, transcripts, and what is told in words."""
+"""Rooms for language models: tools, transcripts, and descriptions in words."""
 
 import lazy_loader
 

@@ -1,14 +1,14 @@
-"""The agent `text-agent` and its scripted managers: callers that read nothing but the transcript, as a model would.
+"""The agent `text-agent` and its scripted managers: callers that read only the transcript, like a language model.
 
 | name | what it does | what it reads |
 |---|---|---|
-| `random` | carries out any option that can start, at random | names |
-| `search-random` | what is off and untried since something last changed, at random | names, what is on |
-| `search-nearest` | the same, the nearest first, by places as they are told | names, what is on, places |
-| `oracle` | solves the PDDL that it is told, in as few actions as possible, and leaves | the symbolic model |
+| `random` | runs a random option that can start | names |
+| `search-random` | a random target that is off and untried since the last change | names, what is on |
+| `search-nearest` | the same, nearest first, by the revealed places | names, what is on, places |
+| `oracle` | solves the revealed PDDL in as few actions as possible, and leaves | the symbolic model |
 
-They show that what is told is enough to play by, and are the rows that a model is compared with. Here
-`search-random` makes the choices of the agent of that name, which reads the room itself.
+They show that the text suffices to play, and are the rows that a model is compared with. `search-random` makes the same
+choices as the agent of that name, which reads the room directly.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from hrl_escape.text.recordings import RecordedModel
 from hrl_escape.text.text_env import ToolCall, Turn, find_text_env
 
 Model: TypeAlias = Callable[[Sequence[Turn], Sequence[Mapping[str, Any]]], ToolCall]
-"""Anything that reads a transcript and the tools' schemas and says which tool to call. If it has an attribute `rng`, an
-evaluation gives it the episode's generator."""
+"""Function from a transcript and the tools' schemas to the tool call. If it has an attribute `rng`, an evaluation sets
+it to the episode's generator."""
 
 _PRESSED = re.compile(r'Pressed ("[^"]*"(?:(?:, | and )"[^"]*")*): ((?:[^".]|"[^"]*")*)\.')
 _ON, _OUT = (re.compile(rf'("[^"]*"(?:(?:, | and )"[^"]*")*) {word}') for word in ("came on", "went out"))
@@ -43,13 +43,13 @@ _ACT = re.compile(r"(?:push-(?:east|north|west|south)|[a-z]+)-(.*)")
 
 
 class RandomManager:
-    """Carries out any option that can start, at random; leaves once the exit is open."""
+    """Runs a random option that can start; leaves once the exit is open."""
 
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
 
     def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
-        """Call the option to run now; `move` where no option but leaving can start."""
+        """Return the next call: an option, or `move` if no option but leaving can start."""
         schemas = {tool["name"]: tool["inputSchema"]["properties"] for tool in tools}
         options: list[str] = schemas["run_option"]["option"]["enum"]
         legal = _read_legal(transcript[-1].text, options)
@@ -65,7 +65,7 @@ class RandomManager:
 
 
 class SearchRandomManager(RandomManager):
-    """Takes what is off and untried since something last changed, at random."""
+    """Tries a random target that is off and untried since the last change."""
 
     def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
         tried, lit, before = set[str](), set[str](), transcript[0].text
@@ -88,7 +88,7 @@ class SearchRandomManager(RandomManager):
 
 
 class SearchNearestManager(SearchRandomManager):
-    """Takes what is off and untried since something last changed, the nearest first; at random without places."""
+    """Tries the nearest target that is off and untried since the last change; a random one without places."""
 
     def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
         places = {name: (float(x), float(y)) for name, x, y, _ in _THING.findall(transcript[0].text) if x}
@@ -100,11 +100,11 @@ class SearchNearestManager(SearchRandomManager):
 
 
 class PDDLPlanner(RandomManager):
-    """Solves the PDDL that it is told by a planner of unified-planning, follows the plan, and leaves.
+    """Solves the PDDL in the transcript with a planner of unified-planning, follows the plan, and leaves.
 
     Raises:
         MissingExtraError: unified-planning is not installed.
-        PlanningFailed: the transcript holds no model, or none that can be solved.
+        PlanningFailed: the transcript has no model, or none that can be solved.
     """
 
     def __init__(self) -> None:
@@ -114,7 +114,7 @@ class PDDLPlanner(RandomManager):
     def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
         begun = transcript[0].text
         if begun not in self._plans:
-            self._plans = {begun: _solve(begun, options)}  # those of games that are over are not needed again
+            self._plans = {begun: _solve(begun, options)}  # replaces the plans of earlier games
         done, plan = 0, self._plans[begun]
         for turn in transcript:
             failed = turn.is_error or "No way on" in turn.text
@@ -125,19 +125,19 @@ class PDDLPlanner(RandomManager):
 
 
 def _solve(begun: str, options: Sequence[str]) -> list[str]:
-    """Options that a plan for the told model runs, in order."""
+    """Options that execute a plan for the revealed model, in order."""
     from hrl_escape.planning.symbolic.pddl import clean_name, read_problem, run_engine
 
     domain, problem = begun.find("(define (domain"), begun.find("(define (problem")
     if min(domain, problem) < 0:
-        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
+        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the model in the transcript", (0.0, 0.0, 0.0),
                              nearest="no symbolic model in the transcript: the session must reveal the level model")
     text, _, unlike = begun[problem:].partition("Options of actions: ")
     named = {clean_name(option): option for option in options}
     named |= dict(re.findall(r'([a-z0-9_-]+): "([^"]*)"', unlike))
     plan, status = run_engine(read_problem(begun[domain:problem], text), "fast-downward-opt", 60.0)
     if plan is None:
-        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the told model", (0.0, 0.0, 0.0),
+        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the model in the transcript", (0.0, 0.0, 0.0),
                              nearest=f"status {status}")
     return [named[action.action.name] for action in plan.actions]
 
@@ -147,7 +147,7 @@ def _run(option: str) -> ToolCall:
 
 
 def _get_thing(option: str) -> str:
-    """Name of the thing that an option presses, grips, releases, uses or pushes one cell; else empty."""
+    """Name of the thing that an option presses, grips, releases, uses or pushes one cell; otherwise empty."""
     found = _ACT.fullmatch(option)
     return found[1] if found else ""
 
@@ -173,7 +173,7 @@ def _is_open(transcript: Sequence[Turn]) -> bool:
 
 
 def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) -> None:
-    """Take note of a call's presses, in order, and of the option itself where it pressed nothing of its own."""
+    """Record a call's presses, in order, and the option itself if it pressed no target of its own."""
     assert turn.call is not None
     noted, changed = set[str](), "came on" in turn.text or "went out" in turn.text
     for names, said in _PRESSED.findall(turn.text):
@@ -194,24 +194,24 @@ def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) ->
 
 
 models: Registry[Callable[..., Any]] = Registry("model", "a callable", callable)
-"""Models by name: those of this module are classes, which are called once to make the model."""
+"""Models by name. Those in this module are classes, which are called once to make the model."""
 for _name, _manager in {"random": RandomManager, "search-random": SearchRandomManager,
                         "search-nearest": SearchNearestManager, "oracle": PDDLPlanner}.items():
     models.register(_name, _manager)
 
 
 def make_model(name: str) -> Model:
-    """A manager, the calls of a file of recorded games (`.jsonl`), or a model of another package.
+    """Return a manager, a replay of recorded games (`.jsonl`), or a model of another package.
 
-    A package offers a callable under the entry-point group `hrl_escape.models`:
+    A package provides a callable under the entry-point group `hrl_escape.models`:
 
         [project.entry-points."hrl_escape.models"]
         my-model = "my_package.my_module:choose_call"
 
     Raises:
-        UnknownNameError: there is none of that name.
+        UnknownNameError: no model of that name.
         FileReadError: the file is missing or damaged.
-        PluginError: another package's model cannot be loaded.
+        PluginError: another package's model fails to load.
     """
     if name.endswith(".jsonl"):
         return RecordedModel(name)
@@ -222,17 +222,18 @@ def make_model(name: str) -> Model:
 
 
 class ToolsAgent(FixedPolicy):
-    """Asks a model for a call of a tool at every decision; nothing is learned.
+    """Asks a model for a tool call at every decision. It does not learn.
 
         env = TextEnv(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")), reveal="names")
         evaluate(ToolsAgent(env, model), env, episodes=20)
 
     Args:
-        env: where it acts; a `TextEnv` is among its wrappers, and reads the calls.
-        model: transcript and tools' schemas -> call. Whatever it says, the game goes on; see `RoomSession.call`.
+        env: environment with a `TextEnv` among its wrappers, which reads the calls.
+        model: function from transcript and tools' schemas to a call. Invalid calls do not end the game; see
+            `RoomSession.call`.
 
     Attributes:
-        caller: name of the model, by which runs are told apart: its attribute `name`, or that of its function or class.
+        caller: name of the model in the records of runs: its attribute `name`, or the name of its function or class.
     """
 
     Settings: ClassVar[type] = TextAgentSettings
@@ -245,11 +246,11 @@ class ToolsAgent(FixedPolicy):
         self._rng = np.random.default_rng(0)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """As in an evaluation, with chance of its own."""
+        """Act as in an evaluation, with the agent's own random generator."""
         return self.act_greedy(observation, action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Action of the call in progress, or of the next; of a wrong call the first legal one, which is not taken."""
+        """Return the action of the call in progress or of the next call; for an invalid call the first legal action."""
         if hasattr(self.model, "rng"):
             vars(self.model)["rng"] = rng
         while self.text_env.action is None:

@@ -1,4 +1,4 @@
-"""A room behind the Model Context Protocol: its tools are those of a `RoomSession`. Needs the extra `mcp`."""
+"""A room behind the Model Context Protocol, with the tools of a `RoomSession`. Requires the extra `mcp`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ except ImportError as missing:
 
 
 def make_server(session: RoomSession, after_call: Callable[[], object] = lambda: None) -> Server[Any]:
-    """Make a server of a game that has begun, whose first text is its instructions; `after_call` follows every call."""
+    """Make a server of a game that has begun. Its first text is the instructions; `after_call` follows every call."""
     async def list_tools(context: Any, params: Any) -> types.ListToolsResult:
         return types.ListToolsResult(tools=[types.Tool.model_validate(tool) for tool in session.tools()])
 
@@ -34,7 +34,7 @@ def make_server(session: RoomSession, after_call: Callable[[], object] = lambda:
 
 
 def serve(server: Server[Any]) -> None:
-    """Serve on standard input and output until the client leaves; nothing listens on a network."""
+    """Serve on standard input and output until the client disconnects. No network port is opened."""
     async def run() -> None:
         async with stdio_server() as (reading, writing):
             await server.run(reading, writing, server.create_initialization_options())

@@ -1,7 +1,7 @@
-"""Recorded games: JSON Lines that anybody can replay to the same bytes, so that a score from elsewhere is verified.
+"""Recorded games: JSON Lines that can be replayed to the same bytes, which verifies scores from elsewhere.
 
-A game begins with a line that holds the room, the episode's seed and what the text reveals; a line a turn follows, and
-the score ends it. A file may hold several games.
+A game begins with a line that contains the room, the episode's seed and the level of revealed text. One line per turn
+follows, and the score ends it. A file can contain several games.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _SCHEMA = 2
 
 @dataclasses.dataclass(frozen=True)
 class Game:
-    """A game that was played.
+    """A finished game.
 
     Attributes:
         room: the room.
-        seed: of the episode.
-        reveal: what the text revealed.
+        seed: seed of the episode.
+        reveal: level of revealed text.
         options: arguments of the `OptionsEnv` that differ from the defaults.
         turns: calls and answers, after the text that began the game.
-        score: at its end.
+        score: score at the end.
     """
 
     room: RoomInstance
@@ -45,7 +45,7 @@ class Game:
     score: Score
 
     def to_lines(self) -> list[str]:
-        """The lines of its file."""
+        """Return the lines of its file."""
         first, *turns = self.turns
         begun = {"kind": "game", "schema": _SCHEMA, "seed": self.seed, "reveal": self.reveal,
                  "options": dict(self.options), "text": first.text, "room": self.room.to_dict()}
@@ -54,10 +54,10 @@ class Game:
 
     @classmethod
     def from_lines(cls, lines: Sequence[Any]) -> Game:
-        """Read the lines of one game, each a JSON value; whatever is wrong with them is raised as it comes."""
+        """Parse the lines of one game, each a JSON value. Errors in them are raised unchanged."""
         begun, *said, last = lines
         if begun["kind"] != "game" or begun["schema"] != _SCHEMA:
-            raise ValueError(f"this is no game of schema {_SCHEMA}")
+            raise ValueError(f"this is not a game of schema {_SCHEMA}")
         turns = (Turn(None, str(begun["text"])),
                  *(Turn(ToolCall(*line["call"]), str(line["text"]), bool(line["is_error"])) for line in said))
         return cls(RoomInstance.from_dict(begun["room"]), int(begun["seed"]), begun["reveal"], dict(begun["options"]),
@@ -65,34 +65,34 @@ class Game:
 
 
 def record_game(session: RoomSession | TextEnv) -> Game:
-    """The game that was played since the last reset.
+    """Return the game since the last reset.
 
     Raises:
-        UnsupportedError: it cannot be replayed: it began without a seed, was not the first trial, or had options of its
-            own.
+        UnsupportedError: it cannot be replayed, because it began without a seed, was not the first trial, or had custom
+            options.
     """
     env = session.env if isinstance(session, RoomSession) else session
     given = env.env._saved_kwargs
     if env.seed is None or sum(turn.call is None for turn in env.transcript) != 1:
-        raise UnsupportedError("a recording holds one game from reset(seed=...) on; this one was not begun so")
+        raise UnsupportedError("a recording needs one game that began with reset(seed=...). Reset with a seed first")
     if given["options"] is not None or "domain" in given:
-        raise UnsupportedError("a recording holds games with meta-actions, not with options of your own")
+        raise UnsupportedError("a recording supports the room's meta-actions only, not options of your own")
     defaults = OptionsEnv(EscapeRoomEnv(instance=env.instance))._saved_kwargs
     changed = {name: value for name, value in given.items() if value != defaults[name] and name != "observation"}
     return Game(env.instance, env.seed, env.reveal, changed, tuple(env.transcript), env.score())
 
 
 def save_games(path: str | Path, games: Iterable[Game]) -> None:
-    """Write games to a file, in place of what it held; atomic."""
+    """Write games to a file atomically, replacing its content."""
     write_text(path, "".join(f"{line}\n" for game in games for line in game.to_lines()))
 
 
 def load_games(path: str | Path) -> tuple[Game, ...]:
-    """Read the games of a file; nothing is replayed.
+    """Read the games of a file, without replaying them.
 
     Raises:
-        FileReadError: the file is missing or damaged; the message says where.
-        OldFormatError: it is of version 0.3.
+        FileReadError: the file is missing or damaged; the message gives the place.
+        OldFormatError: the file was written by version 0.3.
     """
     games, lines = [], list[Any]()
     for number, text in enumerate(read_text(path, "recorded game").splitlines(), 1):
@@ -111,7 +111,7 @@ def load_games(path: str | Path) -> tuple[Game, ...]:
 
 
 def replay_game(game: Game) -> Game:
-    """Play a game's calls again, in the room that it names."""
+    """Replay a game's calls in its room."""
     env = OptionsEnv(EscapeRoomEnv(instance=game.room), **game.options)
     try:
         session = RoomSession(env, game.reveal)
@@ -129,7 +129,7 @@ def verify_games(path: str | Path) -> tuple[Game, ...]:
 
     Raises:
         FileReadError: the file is missing or damaged.
-        VerificationError: a replay differs; the message says where.
+        VerificationError: a replay differs; the message gives the place.
     """
     games = load_games(path)
     for number, game in enumerate(games, 1):
@@ -143,10 +143,10 @@ def verify_games(path: str | Path) -> tuple[Game, ...]:
 
 
 class RecordedModel:
-    """Makes the calls of recorded games; it knows a game by all that was said so far, so every answer is verified.
+    """Makes the calls of recorded games. It finds a game by the whole transcript, which verifies every answer.
 
     Attributes:
-        name: the file's, and a hash of its content.
+        name: name of the file, and a hash of its content.
 
     Raises:
         FileReadError: the file is missing or damaged.
@@ -157,11 +157,11 @@ class RecordedModel:
         self.name = f"{path}, {hashlib.sha256(read_text(path).encode()).hexdigest()[:12]}"
 
     def __call__(self, transcript: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> ToolCall:
-        """The call that was made here; `VerificationError` where no recorded game came here, or it ended here."""
+        """Return the recorded call at this point; `VerificationError` if no recorded game has this transcript."""
         done, said = len(transcript), tuple(transcript)
         for turns in self._games:
             if turns[:done] == said and len(turns) > done:
                 call = turns[done].call
                 assert call is not None
                 return call
-        raise VerificationError(f"{self.path}: no recorded game goes on like this one, after {done - 1} calls")
+        raise VerificationError(f"{self.path}: no recorded game continues like this one, after {done - 1} calls")

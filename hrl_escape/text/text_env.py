@@ -1,8 +1,8 @@
 """Text interface to a room: describes states in words and accepts tool calls as actions.
 
-`TextEnv` changes no number of the `OptionsEnv` that it wraps: it keeps a transcript of every game, whoever plays. A
-caller begins a call; the next steps of the environment, made by a `RoomSession` or by a loop that asks a `ToolsAgent`,
-carry it out. The text tells no more than an agent's observation holds, but for the level `model`.
+`TextEnv` changes no number of the `OptionsEnv` that it wraps. It keeps a transcript of every game, for any player. A
+caller begins a call. The next steps of the environment, made by a `RoomSession` or by a loop over a `ToolsAgent`,
+execute it. Except at the level `model`, the text contains only what an agent's observation contains.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
 from hrl_escape.text.words import clean, list_option_names, place, tell_changes, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
-"""Looks that are free between two moves; most repeats of a primitive; characters of a wrong value that are kept."""
+"""Free looks between two moves; most repeats of a primitive; most characters of an invalid value in the transcript."""
 
 
 class ToolCall(NamedTuple):
     """A call of a tool.
 
     Attributes:
-        name: of the tool.
-        arguments: by name; of a malformed call whatever came, made plain.
+        name: name of the tool.
+        arguments: arguments by name; for a malformed call the given value, converted to plain JSON.
     """
 
     name: str
@@ -49,12 +49,12 @@ class ToolCall(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Turn:
-    """A call, and the room's answer.
+    """A call and the room's answer.
 
     Attributes:
-        call: None for the text that begins a game.
-        text: of the room.
-        is_error: the call was wrong.
+        call: the call, or None for the text that begins a game.
+        text: the answer.
+        is_error: whether the call was invalid.
     """
 
     call: ToolCall | None
@@ -64,16 +64,16 @@ class Turn:
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """A game so far.
+    """Score of a game so far.
 
     Attributes:
         reward: undiscounted return.
-        escaped: the robot is out.
-        efficiency: fewest primitives known for an escape over those of this one, at most 1; 0 without an escape.
-        decisions: calls that took primitives.
-        primitives: taken.
-        invalid_calls: calls that were wrong, or of an option that could not start.
-        characters: handed to the caller, who reads tools and transcript anew before every call.
+        escaped: whether the robot has escaped.
+        efficiency: fewest known primitives of an escape divided by this one's, at most 1; 0 without an escape.
+        decisions: number of calls that took primitives.
+        primitives: number of primitives.
+        invalid_calls: number of invalid calls, and of calls of options that could not start.
+        characters: characters sent to the caller, who reads tools and transcript again before every call.
     """
 
     reward: float
@@ -86,29 +86,29 @@ class Score:
 
 
 def count_characters(turns: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> int:
-    """Characters of a transcript and of the tools' schemas, as a model reads them once."""
+    """Return the characters of a transcript and of the tools' schemas, as a model reads them once."""
     said = [tools, *([turn.call.name, turn.call.arguments] for turn in turns if turn.call is not None)]
     return sum(len(json.dumps(each, separators=(",", ":"))) for each in said) + sum(len(turn.text) for turn in turns)
 
 
 class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Keeps the transcript of a room's games, and carries out calls of tools.
+    """Keeps the transcript of a room's games, and executes tool calls.
 
     Args:
         env: options over a room, or a flat room, which gets its meta-actions and primitives.
-        reveal: what the text reveals, one of `REVEAL_LEVELS`.
+        reveal: level of revealed text, one of `REVEAL_LEVELS`.
 
     Attributes:
-        seed: of the game; None where the environment drew its start.
+        seed: seed of the game, or None if the environment drew its start.
         transcript: the turns since the last reset with a seed.
-        log: one SMDP transition a call that took primitives; the action -1 is that of a wrong call.
-        is_over: no game has begun, or it is over.
-        characters: that its caller has read; tools and transcript are read anew before every call.
-        action: that of the call in progress to step with; -1 for the idle primitive of a wrong call, None without one.
+        log: one SMDP transition per call that took primitives; action -1 is an invalid call.
+        is_over: whether the game is over, or none has begun.
+        characters: characters that the caller has read; it reads tools and transcript again before every call.
+        action: action of the call in progress; -1 for the idle primitive of an invalid call, None without a call.
 
     Raises:
         UnknownNameError: no such level.
-        UnsupportedError: there is no room, or another environment of options below.
+        UnsupportedError: `env` has no room, or other options below.
     """
 
     env: Any
@@ -121,7 +121,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
             env = env.env
         options = env if isinstance(env, OptionsEnv) else OptionsEnv(env)
         if options.level or not hasattr(options.unwrapped, "get_state"):
-            raise UnsupportedError("a session is about a room: give it an OptionsEnv over one, not over other options")
+            raise UnsupportedError("a session needs a room: pass an OptionsEnv over a room, not over other options")
         super().__init__(options)
         self.reveal: Level = reveal
         self.transcript: list[Turn] = []
@@ -134,7 +134,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- the game ------------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a game; without a seed and in the same room the transcript goes on with another trial."""
+        """Begin a game. Without a seed and in the same room, the transcript continues with another trial."""
         observation, info = self.env.reset(seed=seed, options=options)
         instance = self.instance
         if seed is not None or instance.id != self._room_id:
@@ -153,7 +153,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return observation, info
 
     def step(self, action: int) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Take one step of the call in progress, whatever the action; without one, the action is a call by itself."""
+        """Execute one step of the call in progress, for any action; without a call, the action is a call by itself."""
         if self.action is None:
             self.begin(self.name_action(int(action)))
         taken = self.action
@@ -163,13 +163,13 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return step
 
     def begin(self, call: ToolCall) -> Turn | None:
-        """Begin a call, which may be anything at all.
+        """Begin a call; `call` can be any value.
 
         Returns:
-            The answer where the call takes no primitives, else None: `action` then says what to step with.
+            The answer if the call takes no primitives. Otherwise None, and `action` is the action to step with.
 
         Raises:
-            ResetNeededError: no game has begun, or it is over.
+            ResetNeededError: the game is over, or none has begun.
         """
         if self.is_over:
             raise ResetNeededError("call reset() first: no game has begun, or it is over")
@@ -186,7 +186,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return None
 
     def name_action(self, action: int) -> ToolCall:
-        """The call that takes an action of the environment."""
+        """Return the call that takes an action of the environment."""
         if action < self.env.primitive_count:
             return ToolCall("move", {"primitive": clean(self.env.action_names[action]), "times": 1})
         name = next((name for name, own in self._actions.items() if own == action), "")
@@ -207,12 +207,12 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     @property
     def instance(self) -> RoomInstance:
-        """Room of the game that is played, or will be after the next reset."""
+        """Room of the current game, or of the game after the next reset."""
         return self.env.unwrapped.instance
 
     @property
     def state(self) -> RoomState:
-        """Present state of the room."""
+        """Current state of the room."""
         return self.env.unwrapped.get_state()
 
     def _find_fewest(self) -> float:
@@ -224,7 +224,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- calls ---------------------------------------------------------------------------
 
     def _read(self, call: ToolCall) -> str:
-        """Set the action that a call means, and how often; returns what is wrong with it, and what would be valid."""
+        """Set the action and the number of repeats of a call; return its fault and the valid calls, or empty text."""
         tools = {tool["name"]: tool["inputSchema"] for tool in self.tools}
         if call.name not in tools:
             return f"There is no such tool. There are {join_words(map(_show, tools))}."
@@ -248,7 +248,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return ""
 
     def _hear(self, taken: int, step: tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]) -> None:
-        """Take note of a step, and answer where it ends the call."""
+        """Record a step, and answer if it ends the call."""
         transition = make_transition(self._observation, taken, self._mask, step, self.env.gamma)
         self._parts.append(transition)
         self._steps += self.env.last_steps
@@ -281,7 +281,6 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- words ---------------------------------------------------------------------------
 
     def _make_tools(self) -> list[dict[str, Any]]:
-        """JSON Schemas of the tools."""
         option = {"type": "string", "enum": list(self._actions)}
         tools = [_make_tool("run_option", "Carry out an option to its end.", option=option),
                  _make_tool("look", "Describe the room; free.")]
@@ -308,7 +307,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return f"{said}\n{self._describe_end()}".rstrip()
 
     def _describe_end(self) -> str:
-        """Options that cannot be carried out, or the end."""
+        """Options that cannot start, or the only ones that can; at the end, how the game ended."""
         if self.is_over:
             return f"The game is over: {self._end.words}."
         able, unable = ([_show(name) for name, action in self._actions.items() if bool(self._mask[action]) is wanted]
@@ -317,7 +316,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return f"{some}." if unable else ""
 
     def _describe_model(self) -> list[str]:
-        """The symbolic model, and the option of every operator that is not named like it."""
+        """The symbolic model, and the option of every operator with another name."""
         instance = self.instance
         goals = {op.name: name_goal(make_goal(op, instance), instance)
                  for op in instance.symbolic_model.operators}
@@ -328,13 +327,13 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
 
 def find_text_env(env: gymnasium.Env) -> TextEnv:
-    """The `TextEnv` among the wrappers of a room; `UnsupportedError` where there is none."""
+    """Return the `TextEnv` among the wrappers of a room. Raises `UnsupportedError` if there is none."""
     inner: Any = env
     while isinstance(inner, gymnasium.Wrapper):
         if isinstance(inner, TextEnv):
             return inner
         inner = inner.env
-    raise UnsupportedError(f"nothing tells in words what happens in {env}: wrap its OptionsEnv in a TextEnv")
+    raise UnsupportedError(f"{env} has no text interface. Wrap its OptionsEnv in a TextEnv")
 
 
 def _show(name: str) -> str:
@@ -355,7 +354,7 @@ def _tidy_call(call: Any) -> ToolCall:
 
 
 def _tidy(value: Any, depth: int = 3) -> Any:
-    """A value as JSON can hold it, and not long; a transcript keeps it, and reads it back as the same."""
+    """A short JSON value, which the transcript stores and reads back unchanged."""
     if value is None or isinstance(value, bool):
         return value
     if type(value) is int:
@@ -373,7 +372,7 @@ def _tidy(value: Any, depth: int = 3) -> Any:
 
 
 def _join(parts: Sequence[SMDPTransition]) -> SMDPTransition:
-    """Steps of one call as one transition: rewards and discounts compose."""
+    """Combine the steps of one call into one transition: rewards and discounts compose."""
     first, last, reward, discount = parts[0], parts[-1], 0.0, 1.0
     for part in parts:
         reward, discount = reward + discount * part.reward, discount * part.discount
@@ -390,8 +389,8 @@ class ToolResult(NamedTuple):
     """Answer to a call.
 
     Attributes:
-        text: what happened, what it cost and what can be done next.
-        is_error: the call was wrong; the text says what would be valid.
+        text: what happened, its cost and the next options.
+        is_error: whether the call was invalid; the text then lists valid calls.
     """
 
     text: str
@@ -399,29 +398,29 @@ class ToolResult(NamedTuple):
 
 
 class RoomSession:
-    """Games in a room, played by calls of tools.
+    """Games in a room, played by tool calls.
 
         session = RoomSession(OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1")))
         print(session.reset(seed=0))
         print(session.call("run_option", {"option": "press-button-1"}).text)
 
     Args:
-        env: options over a room, a flat room, or a `TextEnv`, whose level then holds.
-        reveal: what the text reveals, one of `REVEAL_LEVELS`.
+        env: options over a room, a flat room, or a `TextEnv`, whose level then applies.
+        reveal: level of revealed text, one of `REVEAL_LEVELS`.
 
     Attributes:
-        env: the environment that tells.
+        env: the environment with the text interface.
 
     Raises:
         UnknownNameError: no such level.
-        UnsupportedError: there is no room.
+        UnsupportedError: `env` has no room.
     """
 
     def __init__(self, env: gymnasium.Env, reveal: Level = "places") -> None:
         self.env = env if isinstance(env, TextEnv) else TextEnv(env, reveal)
 
     def reset(self, seed: int | None = None) -> str:
-        """Begin a game; the text says what there is, as far as it is told. The seed fixes start and noise."""
+        """Begin a game and return its first text, at the level `reveal`. The seed fixes start and noise."""
         self.env.reset(seed=seed)
         return self.env.transcript[-1].text
 
@@ -430,10 +429,10 @@ class RoomSession:
         return self.env.tools
 
     def call(self, name: Any, arguments: Any = None) -> ToolResult:
-        """Call a tool; whatever the call is, the answer is a text.
+        """Call a tool. The answer to any call is a text.
 
-        A wrong call costs one primitive, as a masked option does, and so does one of an option that cannot start.
-        After the end of a game nothing happens any more.
+        An invalid call costs one primitive, like a masked option, and so does a call of an option that cannot start.
+        After the end of a game, calls have no effect.
         """
         env = self.env
         if env.is_over:

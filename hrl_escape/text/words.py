@@ -1,7 +1,7 @@
-"""Plain English for a room: what stands in it, what its options do, and what a decision changed.
+"""Plain English for a room: its contents, the effects of its options, and the changes of a decision.
 
-Nothing here says more than an agent's observation: what is lit, what the puzzle shows, whether the exit is open and,
-where places are told, where things are, to half a metre. Names may come from files, so each is quoted, without markup.
+The text contains only what an agent observes: what is lit, what the puzzle shows, whether the exit is open, and
+positions to half a metre if places are revealed. Names may come from files; each is quoted, without markup.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from hrl_escape.options.option import Option
 from hrl_escape.planning.props import get_prop_poses
 
 LONGEST, LONGEST_SENTENCE = 60, 400
-"""Characters of a name and of a puzzle's sentence, whatever a file says."""
+"""Most characters of a name or of a puzzle's sentence, for input from files."""
 
 
 def clean(name: str, longest: int = LONGEST) -> str:
-    """A name without quotation marks, line breaks, markup or letters that look like others, and not long."""
+    """Return a name without quotation marks, line breaks, markup or confusable letters, and of bounded length."""
     shown = name if len(name) <= longest else f"{name[:longest - 3]}..."
     return re.sub(r"[^A-Za-z0-9 .,:;+#@()/_-]", lambda letter: letter[0].encode("ascii", "backslashreplace").decode()
                   if ord(letter[0]) > 127 else f"\\x{ord(letter[0]):02x}", shown)
 
 
 def quote(name: str) -> str:
-    """A name in quotation marks."""
+    """Return a name in quotation marks."""
     return f'"{clean(name)}"'
 
 
 def list_option_names(options: Sequence[Option]) -> dict[str, int]:
-    """Name, cleaned, to number of the option; options of targets that the room lacks are left out."""
+    """Return the option's number by its clean name. Options of targets that the room lacks are omitted."""
     named: dict[str, int] = {}
     for number, option in enumerate(options):
         if isinstance(option, AbsentOption):
@@ -50,13 +50,13 @@ def list_option_names(options: Sequence[Option]) -> dict[str, int]:
 
 
 def place(x: float, y: float) -> str:
-    """A place to half a metre."""
+    """Return a position to half a metre as text."""
     return f"({round(2 * x) / 2 + 0.0:.1f}, {round(2 * y) / 2 + 0.0:.1f})"
 
 
 def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
                   get_heading: Callable[[RoomState], float]) -> str:
-    """Describe what there is, what is lit and what the puzzle shows, in one line each; places if `has_places`."""
+    """Describe the room's contents, lights and the puzzle's display, one line each; with positions if `has_places`."""
     puzzle = instance.puzzle
 
     def locate(x: float, y: float) -> str:
@@ -83,12 +83,12 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
 
 
 def _list_said(puzzle: Puzzle, state: Any) -> list[str]:
-    """Sentences of the puzzle's own, in which there may be names from files."""
+    """Sentences of the puzzle, which may contain names from files."""
     return [clean(said, LONGEST_SENTENCE) for said in puzzle.describe(state)]
 
 
 def tell_changes(instance: RoomInstance, steps: Sequence[DomainStep]) -> list[str]:
-    """Sentences on every press and every change of what can be seen, primitive by primitive, in order."""
+    """Return sentences on every press and every visible change, primitive by primitive, in order."""
     return [said for step in steps for said in _describe_primitive(instance, step)]
 
 

@@ -1,4 +1,4 @@
-"""Packages of the extra `viewer`, imported in one place, or one error that names the extra."""
+"""Packages of the extra `viewer`, imported in one place with one error that names the extra."""
 
 from hrl_escape.errors import MissingExtraError
 

@@ -1,6 +1,6 @@
-"""Recordings of one episode: of a driver (the planner or a trained agent), or of a saved episode replayed.
+"""Recordings of one episode: of a driver (the oracle or a trained agent), or of a saved episode replayed.
 
-A `EpisodeRecording` is plain data; `pages.offline` writes it as a page, and the cameras as a video.
+An `EpisodeRecording` is plain data. `pages.offline` writes it as a page, and the cameras as a video.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ class EpisodeRecording:
 
     instance: RoomInstance  # the room
     states: tuple[RoomState, ...]  # one more than rewards
-    rewards: tuple[float, ...]  # one a primitive
+    rewards: tuple[float, ...]  # one per primitive
     decisions: tuple[tuple[str, int], ...]  # name and number of primitives of each decision, in order
-    end: EpisodeEnd  # how it ended
+    end: EpisodeEnd  # end of the episode
     driver: str  # name of the driver, or of the file
 
 
 def record_driver(driver: Driver, seed: int = 0) -> EpisodeRecording:
-    """Record one episode of a driver without training; `UnsupportedError` where its agent has not been trained."""
+    """Record one episode of a driver without training. Raises `UnsupportedError` if its agent is not trained."""
     if driver.trains:
         name = driver.name.partition(",")[0]
-        raise UnsupportedError(f"{name} has not been trained: run `hrl-escape train {name}` first, then name the "
+        raise UnsupportedError(f"{name} has not been trained. Run `hrl-escape train {name}` first, then name the "
                                "folder of that run")
     steps: list[PrimitiveStep] = []
     driver.recorder.on_step = steps.append
@@ -44,7 +44,7 @@ def record_driver(driver: Driver, seed: int = 0) -> EpisodeRecording:
 
 
 def record_saved(saved: SavedEpisode, name: str) -> EpisodeRecording:
-    """Record a saved episode by replaying it; `EpisodeFileError` where the replay differs from the file."""
+    """Record a saved episode by replaying it. Raises `EpisodeFileError` if the replay differs from the file."""
     episode = Episode(saved.instance, seed=saved.seed)
     try:
         episode.replay(saved)

@@ -1,8 +1,8 @@
 """A room as a viser scene: built once from an instance, then posed, lit and annotated.
 
-The scene only shows; it steps nothing and knows no controls. Fixed parts and the placement of what moves come from the
-`RoomModel`, the robot's shapes from the URDF that every engine loads, and `blend` interpolates poses. Metres and
-radians, the room's frame or a link's.
+The scene only displays; it steps nothing and has no controls. Fixed parts and poses come from the `RoomModel`, the
+robot's shapes from the URDF that every engine loads. `blend` interpolates poses. Metres and radians, in the room frame
+or a link's.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from hrl_escape.viewer.extra import SO3, trimesh, viser
 
 _GREY = "#9aa3b2"
 _SLIMMER = 0.7
-"""Factor by which links of generated arms are drawn slimmer than they are, so that the hand stands out."""
+"""Scale of the thickness of generated arms in drawings; slimmer links make the hand visible."""
 
 
 class Shape(NamedTuple):
     """One coloured mesh in the frame of a link."""
 
-    link: str  # the link's name
+    link: str  # name of the link
     vertices: NDArray[np.float64]  # (n, 3), m
-    faces: NDArray[np.int64]  # (m, 3), numbers of vertices
+    faces: NDArray[np.int64]  # (m, 3), indices of vertices
     colour: str  # `#rrggbb`
 
 
 def make_base_shapes(config: RobotConfig) -> list[Shape]:
-    """The wheeled base, with an arrow on top that shows the heading."""
+    """Return shapes of the wheeled base, with an arrow on top that shows the heading."""
     parts = meshes.make_base(config).items()
     return [Shape(BASE_LINK, mesh.vertices, mesh.triangles, colour) for colour, mesh in parts]
 
 
 def make_arm_shapes(robot: Robot, config: RobotConfig) -> list[Shape]:
-    """The shapes of the URDF without the base, and a ball for the hand."""
+    """Return the shapes of the URDF without the base, and a ball for the hand."""
     root = ElementTree.fromstring(robot.urdf)
     named = {m.get("name", ""): m for m in root.findall("material")}
     shapes: list[Shape] = []
@@ -116,7 +116,7 @@ class ArmPose:
                                      _read(joint.find("axis"), "xyz", "1 0 0")))
 
     def compute(self, angles: Sequence[float]) -> dict[str, NDArray[np.float64]]:
-        """Placement (4, 4) of every link in the base's frame, for angles, rad, of the joints that primitives move."""
+        """Return the placement (4, 4) of every link in the base frame, for angles, rad, of the actuated joints."""
         values = self._robot.compute_values(angles)
         found = {BASE_LINK: np.eye(4)}
         for name, kind, parent, child, origin, axis in self._joints:
@@ -147,7 +147,7 @@ def _read(element: ElementTree.Element | None, key: str, default: str) -> NDArra
 
 
 def to_quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    """Quaternion w, x, y, z of roll, pitch and yaw about fixed axes, rad."""
+    """Return the quaternion w, x, y, z of roll, pitch and yaw about fixed axes, rad."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(a / 2), math.sin(a / 2)) for a in (roll, pitch, yaw))
     return (cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy,
             cr * cp * sy - sr * sp * cy)
@@ -157,11 +157,11 @@ OUTSIDE = "#8fa0b8"
 SCRAPS = 160
 """Number of scraps of confetti."""
 CLEAR, HAZY = 0.12, 0.5
-"""Opacity of outer walls seen from outside, and of walls within the room."""
+"""Opacity of outer walls seen from outside, and of interior walls."""
 
 
 class Painted(NamedTuple):
-    """A mesh, its colour, and how opaque it is (None: fully)."""
+    """A mesh with its colour and opacity (None: opaque)."""
 
     name: str
     mesh: meshes.Mesh
@@ -170,9 +170,9 @@ class Painted(NamedTuple):
 
 
 def make_fixtures(model: RoomModel) -> list[Painted]:
-    """Parts that never change: floor with shadows and puddles, walls.
+    """Make the parts that never change: floor with shadows and puddles, and walls.
 
-    Obstacles are apart, for the scene shows one as glass while it hides the robot.
+    Obstacles are separate, because the scene shows one as glass while it hides the robot.
     """
     walls = [part for part in model.solids if part.role == "wall"]
     faces: dict[str, list[meshes.Mesh]] = {"inside": [], "between": [], "outside": []}
@@ -192,7 +192,7 @@ def make_fixtures(model: RoomModel) -> list[Painted]:
 
 
 def is_hidden_by(part: RoomPart, eye: tuple[float, float, float], point: tuple[float, float, float]) -> bool:
-    """Return whether an upright part stands between a camera and a point, tried at 64 places between them, m."""
+    """Return whether an upright part is between a camera and a point, tested at 64 positions between them, m."""
     shares = np.arange(1, 65) / 65
     xs, ys, zs = (a + shares * (b - a) for a, b in zip(eye, point, strict=True))
     low = zs < part.high
@@ -201,7 +201,7 @@ def is_hidden_by(part: RoomPart, eye: tuple[float, float, float], point: tuple[f
 
 
 def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float32]:
-    """Places (n, 3) of the scraps that fly up over a place and come down again, m; `share` goes from 0 to 1."""
+    """Return positions (n, 3) of confetti over a place, m, as `share` runs from 0 to 1."""
     rng = np.random.default_rng(0)
     side, up = rng.normal(0.0, 1.6, (SCRAPS, 2)), rng.uniform(2.0, 6.0, SCRAPS)
     height = np.maximum(4.0 * up * share * (1.0 - share), LAYER)
@@ -209,9 +209,9 @@ def make_confetti(centre: tuple[float, float], share: float) -> NDArray[np.float
 
 
 def _make_faces(wall: RoomPart, floors: tuple[Rectangle, ...]) -> list[tuple[meshes.Mesh, str]]:
-    """The upright faces of a wall, visible from their front only, each with its kind.
+    """Upright faces of a wall, visible from their front only, each with its kind.
 
-    A face is `inside` if it looks onto the floor, `between` if the opposite face does so too, else `outside`.
+    A face is `inside` if it faces the floor, `between` if the opposite face does so too, otherwise `outside`.
     """
     if wall.shape.is_disc:
         return [(meshes.make_part(wall), "between")]
@@ -220,7 +220,7 @@ def _make_faces(wall: RoomPart, floors: tuple[Rectangle, ...]) -> list[tuple[mes
     for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         length = math.hypot(x1 - x0, y1 - y0) or 1.0
         normal = ((y1 - y0) / length, (x0 - x1) / length)
-        # the face is thin: a prism of no depth, of which only the side along the edge is kept
+        # The face is a prism without depth, reduced to the side along the edge.
         side = meshes.make_prism([(x0, y0), (x1, y1), (x1 - 1e-3 * normal[0], y1 - 1e-3 * normal[1]),
                            (x0 - 1e-3 * normal[0], y0 - 1e-3 * normal[1])], wall.low, wall.high)
         sides.append(meshes.Mesh(side.vertices[:4], side.normals[:4], side.triangles[:2]))
@@ -231,7 +231,7 @@ def _make_faces(wall: RoomPart, floors: tuple[Rectangle, ...]) -> list[tuple[mes
 
 
 def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:
-    """Interpolate from `a` (share 0) to `b` (share 1); headings turn the short way round."""
+    """Interpolate from `a` (share 0) to `b` (share 1); headings turn the short way."""
 
     def mix(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
         return tuple(u + share * (v - u) for u, v in zip(one, other, strict=True))
@@ -243,7 +243,7 @@ def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:
 
 
 def _mix_prop(one: tuple[float, ...], mixed: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
-    """Normalise the quaternion of a mixed pose; a quaternion and its negative are the same rotation."""
+    """Normalise the quaternion of a mixed pose. A quaternion and its negative are the same rotation."""
     if sum(u * v for u, v in zip(one[3:], other[3:], strict=True)) < 0.0:
         return other
     length = math.hypot(*mixed[3:])
@@ -253,25 +253,25 @@ def _mix_prop(one: tuple[float, ...], mixed: tuple[float, ...], other: tuple[flo
 ROOT = "/room"
 PLAN = "#d55e00"
 FUTURES = {"plan": (PLAN, 12), "preview": ("#cc79a7", 16)}
-"""Colour of each way that is foreseen, and its height over the floor, layers."""
+"""Colour of each predicted path, and its height over the floor, layers."""
 GLASS = 0.25
 """Opacity of an obstacle that hides the robot."""
 LONGEST_TRAIL = 600
 LINE_WIDTH = 3.0
 OVERVIEW_FIELD = 50.0
-"""Vertical angle of view of the camera that sees the whole room, degrees."""
+"""Vertical field of view of the overview camera, degrees."""
 SUN_POSITION = (-4.0, -6.0, 9.0)
-"""Direction of the light; the shadows that `room_meshes` lays on the floor fall away from it."""
+"""Direction of the light, consistent with the shadows that `meshes.py` draws on the floor."""
 _Point = tuple[float, float, float]
 
 
 class RoomScene:
-    """One room on a viser server; `is_hidden` panels do not tell which wait for others, nor which opens the exit.
+    """One room on a viser server. If `is_hidden`, panels do not reveal which wait for others or which opens the exit.
 
     Attributes:
-        instance: the room shown.
-        model: its parts and poses.
-        rules: rules that poses are computed with.
+        instance: the room.
+        model: parts and poses of the room.
+        rules: rules that compute poses.
     """
 
     def __init__(self, server: viser.ViserServer, instance: RoomInstance, is_hidden: bool = False) -> None:
@@ -301,18 +301,18 @@ class RoomScene:
             self._goals: dict[_Point, tuple[str, viser.LabelHandle]] = {}
             self._confetti: viser.PointCloudHandle | None = None
         self._lit: Any = None
-        camera = server.initial_camera  # it shows the whole room, from the south and well above
+        camera = server.initial_camera  # overview of the whole room, from the south and well above
         camera.position, camera.look_at = compute_overview(instance)
         camera.up, camera.fov = (0.0, 0.0, 1.0), math.radians(OVERVIEW_FIELD)
 
     def remove(self) -> None:
-        """Take the room, its robot and its labels out of the scene."""
+        """Remove the room, its robot and its labels from the scene."""
         self._root.remove()
 
     # --- what moves ----------------------------------------------------------------------
 
     def show(self, state: RoomState) -> None:
-        """Pose and light everything as in a state."""
+        """Pose and light everything for a state."""
         with self._server.atomic():
             self.pose(self.model.make_pose(state))
             self.light(state)
@@ -328,7 +328,7 @@ class RoomScene:
                 node.position, node.wxyz = (x, y, z), (qw, qx, qy, qz)
 
     def light(self, state: RoomState) -> None:
-        """Colour panels and exit, write what targets show, and shut inner doors, by the puzzle's state."""
+        """Update the colours of panels and exit, the signs of targets, and inner doors to a state."""
         if state.puzzle == self._lit:
             return
         self._lit = state.puzzle
@@ -345,7 +345,7 @@ class RoomScene:
             part.color = _to_bytes(colour)
 
     def uncover(self, eyes: Iterable[_Point], pose: RoomPose) -> None:
-        """Show obstacles that hide the robot from any of these cameras, m, as glass, and the others solid."""
+        """Show obstacles that hide the robot from any of these cameras, m, as glass, and the others opaque."""
         robot = (pose.x, pose.y, pose.z + self.instance.robot.body_height / 2)
         eyes = tuple(eyes)
         for solid, node in self._obstacles:
@@ -353,14 +353,14 @@ class RoomScene:
             if node.opacity != opacity:
                 node.opacity = opacity
 
-    # --- what is drawn upon it -------------------------------------------------------------
+    # --- annotations -----------------------------------------------------------------------
 
     def draw_trail(self, states: Sequence[RoomState]) -> None:
-        """Draw the way that the robot has come, on the floor."""
+        """Draw the robot's path so far on the floor."""
         self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * LAYER)
 
     def draw_future(self, name: Literal["plan", "preview"], states: Sequence[RoomState]) -> None:
-        """Draw the way of the running option (`plan`) or of another (`preview`), and its final posture."""
+        """Draw the predicted path of the running option (`plan`) or another (`preview`), and its final posture."""
         colour, layers = FUTURES[name]
         self._draw_line(name, [(s.x, s.y) for s in states], colour, layers * LAYER)
         ghost = self._ghosts.get(name)
@@ -377,11 +377,11 @@ class RoomScene:
         self._draw_line("path", points, palette.MUTED, 6 * LAYER)
 
     def draw_hand_path(self, points: Sequence[_Point]) -> None:
-        """Draw the way of the hand, in the air."""
+        """Draw the path of the hand in the air."""
         self._draw_segments("hand-path", np.array(points, dtype=np.float32).reshape(-1, 3), PLAN)
 
     def draw_confetti(self, share: float) -> None:
-        """Scraps over the exit: flying at a share from 0 to 1, none outside."""
+        """Draw confetti over the exit for a share from 0 to 1, and none for other values."""
         places = make_confetti(self.instance.exit.centre, min(max(share, 0.0), 1.0))
         if self._confetti is None:
             colours = np.resize(np.array([_to_bytes(line) for line in palette.LINES], dtype=np.uint8), (SCRAPS, 3))
@@ -390,7 +390,7 @@ class RoomScene:
         self._confetti.points, self._confetti.visible = places, 0.0 <= share < 1.0
 
     def draw_goals(self, goals: Sequence[tuple[str, float, float]]) -> None:
-        """Label the places (name, x, y) of running calls' goals; calls with one place share a label."""
+        """Label the goals (name, x, y) of running calls; calls at the same place share a label."""
         height = self.instance.frame.wall_height / 2
         words: dict[_Point, list[str]] = {}
         for name, x, y in goals:
@@ -410,7 +410,7 @@ class RoomScene:
         self._draw_segments(name, at.reshape(-1, 3), colour)
 
     def _draw_segments(self, name: str, at: NDArray[np.float32], colour: str) -> None:
-        """Draw lines from point to point, shape (points, 3); none if they are all one."""
+        """Draw lines from point to point, shape (points, 3); none if all points are equal."""
         moved = np.any(at[1:] != at[:-1], axis=1)
         segments = np.stack([at[:-1], at[1:]], axis=1)[moved]
         visible = len(segments) > 0
@@ -440,7 +440,7 @@ class RoomScene:
         return face
 
     def _add_door(self) -> viser.FrameHandle | None:
-        """The leaf in the frame of its hinge."""
+        """Leaf of the exit door in the frame of its hinge."""
         door, leaf = self.instance.door, self.model.leaf
         if door is None or leaf is None:
             return None
@@ -464,9 +464,9 @@ class RoomScene:
 
 
 def compute_overview(instance: RoomInstance, aspect: float = 1.6) -> tuple[_Point, _Point]:
-    """Position and target of a camera that sees a whole room, m.
+    """Return position and target of a camera that shows a whole room, m.
 
-    `aspect` is the picture's width over its height; on an upright one the room fills the part above the panel.
+    `aspect` is the picture's width over its height. On an upright picture the room fills the part above the panel.
     """
     if aspect >= 1.0:
         far = max(1.1 * instance.reach_x, 1.2 * instance.reach_y) + 0.6 * instance.wall_height - 1.5
@@ -478,9 +478,9 @@ def compute_overview(instance: RoomInstance, aspect: float = 1.6) -> tuple[_Poin
 
 
 def _add_lights(scene: viser.SceneApi) -> None:
-    """Add even ambient light, so that colours look the same on every side, and a sun for the shapes.
+    """Add ambient light, which makes colours equal on every side, and a sun, which shows shapes.
 
-    The environment map is left out: it is loaded late, and fades in whenever a recorded page starts again.
+    An environment map would load late and fade in at every start of a recorded page.
     """
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(hdri=None)
@@ -490,7 +490,7 @@ def _add_lights(scene: viser.SceneApi) -> None:
 
 
 class _RobotModel:
-    """The robot's shapes below one frame; a ghost has one colour and is transparent."""
+    """The robot's shapes below one frame. A ghost has one colour and is transparent."""
 
     def __init__(self, scene: viser.SceneApi, name: str, robot: Robot, config: RobotConfig,
                  colour: str | None = None, opacity: float | None = None) -> None:
@@ -506,7 +506,7 @@ class _RobotModel:
                       opacity)
 
     def place(self, pose: RoomPose) -> None:
-        """Put base and links where they are."""
+        """Move base and links to a pose."""
         self.frame.position = (pose.x, pose.y, pose.z)
         self.frame.wxyz = to_quaternion(pose.roll, pose.pitch, pose.heading)
         if len(self._links) < 2:

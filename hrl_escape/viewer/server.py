@@ -1,13 +1,12 @@
-"""The viewer's web server: viser, bound to this machine unless the user names another address, behind a guard.
+"""The viewer's web server: viser with access control, reachable from this machine only by default.
 
-Every web page in the user's browser can send requests to this machine, and viser answers them all. Here a request needs
-a Host that names this server (a DNS name rebound to this machine does not), the same origin if it says from where it
-comes, and a token. The token stands in the printed address; the first answer turns it into a cookie, which other sites
-cannot send along.
+Every web page in the user's browser can send requests to this machine, and viser answers all of them. Here a request
+needs a Host header that names this server (a rebound DNS name does not), the same origin if it has one, and a token.
+The token is part of the printed address. The first answer turns it into a cookie, which other sites cannot send.
 
-An admitted page may send its camera, a value of a control that it shows, and a hotkey. viser would set whatever
-attribute of whatever control a message names, so messages are read here first, and all others are dropped. Nothing here
-knows rooms.
+An admitted page may send its camera, values of the controls that it shows, and hotkeys. viser would set any attribute
+of any control that a message names. Messages are therefore checked here first, and all others are dropped. This module
+is independent of rooms.
 """
 
 from __future__ import annotations
@@ -69,7 +68,7 @@ _DECODER = msgspec.msgpack.Decoder(_Camera | _Update | _Trigger)
 
 
 def is_expected(server: Any, client: int | None, raw: object) -> bool:
-    """True for a message that the viewer's own page could have sent, by a client whose number is None if not known."""
+    """Return whether the viewer's own page could have sent a message; `client` is the client's id, None if unknown."""
     if not isinstance(raw, bytes):
         return False
     try:
@@ -79,7 +78,7 @@ def is_expected(server: Any, client: int | None, raw: object) -> bool:
     if isinstance(message, _Camera):
         return message.is_finite()
     if isinstance(message, _Trigger):
-        return True  # viser knows its commands, and a trigger carries nothing else
+        return True  # viser ignores unknown commands, and a trigger has no other content
     handle = server.gui._gui_input_handle_from_uuid.get(message.uuid)
     own = server.get_clients().get(client)
     if handle is None and own is not None:
@@ -88,7 +87,7 @@ def is_expected(server: Any, client: int | None, raw: object) -> bool:
 
 
 def _may_set(handle: Any, value: bool | int | float | str) -> bool:
-    """True if a page can give this value to this control."""
+    """Return whether a page can give this value to this control."""
     if handle.disabled or not handle.visible:
         return False
     if isinstance(handle, (viser.GuiButtonGroupHandle, viser.GuiDropdownHandle)):
@@ -101,7 +100,7 @@ def _may_set(handle: Any, value: bool | int | float | str) -> bool:
 
 
 LARGEST_MESSAGE = 2**16
-"""Bytes of the largest message that a page may send."""
+"""Largest message that a page may send, bytes."""
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _WILDCARDS = ("0.0.0.0", "::", "")
 _HEADERS = {
@@ -115,14 +114,14 @@ _STARTING = threading.Lock()
 
 
 class Guard:
-    """Rules of admission of the server that listens on an address.
+    """Access control of a server.
 
     Attributes:
         token: secret of this server.
         title: title of the browser's tab.
-        is_expected: decides about each message of an admitted page, given its connection and the bytes;
-            None while the server starts, when nobody is admitted.
-        connections: all connections, those that a browser opens for later and says nothing on among them.
+        is_expected: decides on each message of an admitted page from its connection and its bytes. None while the
+            server starts, when all requests are refused.
+        connections: all connections, including idle ones that a browser opens in advance.
     """
 
     def __init__(self, host: str) -> None:
@@ -136,12 +135,12 @@ class Guard:
             self._names |= {socket.gethostname().lower(), socket.getfqdn().lower()}
 
     def find_fault(self, path: str, headers: Any, port: int) -> str:
-        """Reason why a request, by its path with its query, headers and port, is refused; empty if it is admitted."""
+        """Return why a request, by its path with query, headers and port, is refused; empty if it is admitted."""
         hosts, origins = headers.get_all("Host"), headers.get_all("Origin")
         if len(hosts) != 1 or not self._is_own_name(hosts[0]):
             return "this address is not one of this server's names"
         if len(origins) > 1 or (_is_socket(headers) and not origins):
-            return "the request does not say from which page it comes"
+            return "the request does not name the page it comes from"
         if origins and not _is_same_origin(origins[0], hosts[0]):
             return "the request comes from another page"
         if not self._holds_token(path, headers, port):
@@ -149,7 +148,7 @@ class Guard:
         return ""
 
     def make_cookie(self, port: int) -> str:
-        """Header that lets the page hold the token."""
+        """Return the header that stores the token in the browser."""
         return f"{_name_cookie(port)}={self.token}; Path=/; HttpOnly; SameSite=Strict"
 
     def _is_own_name(self, host: str) -> bool:
@@ -194,12 +193,12 @@ def _is_address(name: str) -> bool:
 
 @contextmanager
 def guard_servers(guard: Guard) -> Iterator[None]:
-    """Let a guard stand before the server that viser starts in this block.
+    """Put a guard in front of the server that viser starts in this block.
 
-    viser gives no hook for it, so the function that it starts its server with is wrapped meanwhile.
+    viser has no hook for it. The function that starts its server is therefore wrapped during the block.
 
     Raises:
-        UnsupportedError: this version of viser starts its server in another way.
+        UnsupportedError: this version of viser starts its server differently.
     """
     module = websockets.asyncio.server
     with _STARTING:
@@ -218,7 +217,7 @@ def guard_servers(guard: Guard) -> Iterator[None]:
         finally:
             module.serve = serve
     if not guarded:
-        raise UnsupportedError("this version of viser cannot be guarded against other web pages; install viser 1.1.1")
+        raise UnsupportedError("this version of viser cannot be protected from other web pages. Install viser 1.1.1")
 
 
 def _make_process(guard: Guard, serve_files: Any) -> Any:
@@ -234,7 +233,7 @@ def _make_process(guard: Guard, serve_files: Any) -> Any:
         if _is_socket(request.headers):
             return None
         if encoding in request.headers:
-            del request.headers[encoding]  # the title is changed in the plain text
+            del request.headers[encoding]  # the title can only be changed in uncompressed text
         answer = serve_files(connection, request)
         if answer.status_code != http.HTTPStatus.OK:
             return answer
@@ -250,7 +249,7 @@ def _make_process(guard: Guard, serve_files: Any) -> Any:
 
 def _make_connection_class(guard: Guard) -> type:
     class GuardedConnection(websockets.asyncio.server.ServerConnection):
-        """A connection that passes on only what a page is expected to send."""
+        """A connection that passes on only expected messages."""
 
         def connection_made(self, transport: Any) -> None:
             super().connection_made(transport)
@@ -266,7 +265,7 @@ def _make_connection_class(guard: Guard) -> type:
 
 
 class Server(viser.ViserServer):
-    """A viser server behind a guard, without the tunnel that would share it over the internet."""
+    """A viser server behind a guard, without viser's tunnel that would share it over the internet."""
 
     def __init__(self, host: str, port: int) -> None:
         self.guard = Guard(host)
@@ -280,16 +279,16 @@ class Server(viser.ViserServer):
         return is_expected(self, client, raw)
 
     def set_title(self, title: str) -> None:
-        """Name the browser's tab for clients that come from now on."""
+        """Set the title of the browser's tab for clients that connect from now on."""
         self.guard.title = title
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Return None: viser would publish the page through a server elsewhere."""
+        """Return None; viser would publish the page through an external server."""
         del verbose
         return None
 
     def stop(self) -> None:
-        """Stop at once, without viser's message; a connection on which nothing was said would hold it up."""
+        """Stop at once, without viser's message; idle connections would delay it."""
         for connection in tuple(self.guard.connections):
             if connection.request is None:
                 connection.loop.call_soon_threadsafe(connection.transport.abort)
@@ -298,13 +297,13 @@ class Server(viser.ViserServer):
 
 
 def open_server(host: str = HOST, port: int = PORT) -> Server:
-    """Start serving an empty page; a host but 127.0.0.1 lets other machines in, and port 0 is any free one.
+    """Start serving an empty page. A host other than 127.0.0.1 admits other machines; port 0 selects a free port.
 
     Raises:
-        AddressError: the port is taken, or the address is not this machine's.
+        AddressError: the port is in use, or the address belongs to another machine.
     """
     _check_free(host, port)
-    with contextlib.redirect_stdout(io.StringIO()):  # it prints a banner of its own
+    with contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
         server = Server(host, port)
     settings: dict[str, Any] = {"show_logo": False, "show_share_button": False, "control_width": "large",
                                 "brand_color": (47, 109, 181)}
@@ -314,14 +313,14 @@ def open_server(host: str = HOST, port: int = PORT) -> Server:
 
 
 def get_url(server: Server) -> str:
-    """Address for a browser; the token in it lets the browser in."""
+    """Return the address for a browser, with the token that admits it."""
     host = server.get_host()
     name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{server.get_port()}/?token={server.guard.token}"
 
 
 def _check_free(host: str, port: int) -> None:
-    """Refuse a port that is taken, which viser would silently replace, and a foreign address, which it would retry."""
+    """Refuse a port in use, which viser would silently replace, and a foreign address, which it would retry."""
     if not 0 <= port <= 65535:
         raise AddressError(f"port {port} is not possible: choose one from 1024 to 65535, or 0 for any free one")
     try:

@@ -168,7 +168,8 @@ def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pyte
 def test_every_setting_of_an_agent_is_listed_with_what_it_means(capsys: pytest.CaptureFixture[str]):
     code, out, _ = call(capsys, "train", "smdp-intra-option-q", "--list-settings", "--json")
     listed = json.loads(out)
-    about = "Discount per primitive; per decision if `discounting` is `decision`."
+    about = ("Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead "
+             "and learn more slowly.")
     assert code == 0 and listed["gamma"] == {"value": 0.99, "about": about}
     assert all(entry["about"] for entry in listed.values())
 

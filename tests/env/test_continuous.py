@@ -214,7 +214,7 @@ def test_wrong_arguments_actions_and_rooms_are_named():
         with pytest.raises(ConfigError, match=next(iter(wrong))):
             EscapeRoomContinuousEnv(**wrong)
     for environment in (EscapeRoomContinuousEnv, EscapeRoomEnv):
-        with pytest.raises(UnsupportedError, match="grip under dynamics.kind = 'physics'"):
+        with pytest.raises(UnsupportedError, match="a gripper, which dynamics.kind = 'physics'"):
             environment(change("blocks-world", dynamics={"kind": "physics"}))
     env = EscapeRoomContinuousEnv()
     env.reset(seed=0)

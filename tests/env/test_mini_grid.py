@@ -206,7 +206,7 @@ def test_a_key_that_opens_nothing_is_found_out():
 def test_levels_of_a_batch_have_as_many_doors_each():
     rooms = [generate(get_preset("key-corridor"), seed) for seed in (0, 4)]
     assert [len(room.puzzle.grid.doors) for room in rooms] == [6, 7]
-    with pytest.raises(UnsupportedError, match="make one batch for each"):
+    with pytest.raises(UnsupportedError, match="Make one batch for each"):
         TensorRoom(Rooms(2, instance=rooms))
 
 

@@ -254,7 +254,7 @@ def test_boxobans_files_are_read():
         tidy_level(first)
     with pytest.raises(ConfigError, match="Boxoban"):
         read_boxoban("; 0\n")
-    with pytest.raises(ConfigError, match="walk to"):
+    with pytest.raises(ConfigError, match="player can reach"):
         tidy_level(("#####", "#@#$#", "#.###", "#####"))
     with pytest.raises(ConfigError, match="one player"):
         SokobanPuzzle(("  $.",))

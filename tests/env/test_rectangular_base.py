@@ -99,7 +99,7 @@ def test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_h
     env.reset(seed=0)
     state = env.get_state()
     env.set_state(state)
-    with pytest.raises(StateError, match="the body stands in the"):
+    with pytest.raises(StateError, match="the body overlaps the"):
         env.set_state(state._replace(heading_steps=9))
     env.close()
 

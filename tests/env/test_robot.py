@@ -211,14 +211,14 @@ def test_last_link_is_the_hand_unless_one_is_named():
 
 
 @pytest.mark.parametrize(("change", "message"), [
-    ({"hand_link": "claw"}, "no link 'claw' in the URDF; its links are mobile-base, base, turned"),
+    ({"hand_link": "claw"}, "no link 'claw' in the URDF; valid are mobile-base, base, turned"),
     ({"joints": 5, "hand_link": "tool"}, "robot.joints = 5: only 4 independent joints move 'tool'"),
     ({"urdf": "not XML"}, "not XML"),
     ({"urdf": "<sdf/>"}, "not a URDF"),
-    ({"urdf": USER_URDF.replace("</robot>", '<link name="x"/></robot>')}, "one root link, not ['base', 'x']"),
+    ({"urdf": USER_URDF.replace("</robot>", '<link name="x"/></robot>')}, "one root link, got ['base', 'x']"),
     ({"urdf": USER_URDF.replace('parent link="base"', 'parent link="y"')}, "no joints lead from the URDF's root link"),
-    ({"urdf": USER_URDF.replace('"base"', f'"{BASE_LINK}"')}, "rename it"),
-    ({"urdf": USER_URDF.replace("1 2 2", "0 0 0")}, "joint 'a' of the URDF moves about the axis 0 0 0"),
+    ({"urdf": USER_URDF.replace('"base"', f'"{BASE_LINK}"')}, "Rename it"),
+    ({"urdf": USER_URDF.replace("1 2 2", "0 0 0")}, "joint 'a' of the URDF has the axis 0 0 0"),
     ({"urdf": USER_URDF.replace("1 2 2", "1 2")}, "`xyz` of <axis> must be 3 finite numbers, got '1 2'"),
     ({"urdf": USER_URDF.replace('lower="-1" upper="2"', 'lower="3" upper="2"')}, "lower limit 3 is above upper 2"),
     ({"urdf": USER_URDF.replace("continuous", "floating")}, "joint 'b' of the URDF is 'floating'; valid are fixed"),
@@ -274,8 +274,8 @@ def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Pat
 
 @pytest.mark.parametrize(("name", "content", "words"), [
     ("faces.stl", b"\0" * 80 + (3_000_000).to_bytes(4, "little"), "at most"),
-    ("bomb.zip", b"PK", "no known kind"),
-    ("bomb.3mf", b"PK", "no known kind"),
+    ("bomb.zip", b"PK", "must end in one of"),
+    ("bomb.3mf", b"PK", "must end in one of"),
     ("folder.obj", None, "a folder"),
     ("pipe.dae", "pipe", "a device or a pipe"),
 ])

@@ -76,7 +76,7 @@ def test_no_robot_stands_outside_the_walls_beside_an_alcove(seed):
     places = [(x, y + beside) if along_x else (x + beside, y) for beside in (-4.0, 4.0)]
     for x, y in places:
         if abs(y if along_x else x) < 6:
-            with pytest.raises(StateError, match="this is outside the walls"):
+            with pytest.raises(StateError, match="it is outside the walls"):
                 check_state(rules, state._replace(x=x, y=y))
     check_state(rules, state._replace(x=room.exit.centre[0], y=room.exit.centre[1]))
 

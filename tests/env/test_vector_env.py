@@ -159,7 +159,7 @@ def test_instances_can_be_given_and_drawn(tmp_path):
         ({"render_mode": "human"}, UnsupportedError, "vectorization_mode='sync'"),
         ({"render_mode": "rgb_array", "camera": "chase"}, UnsupportedError, "'robot' or 'overhead'"),
         ({"render_mode": "rgb_array", "render_size": 84}, ConfigError, "a pair"),
-        ({"render_mode": "rgb_array", "config": "arm-two-button"}, UnsupportedError, "no arm"),
+        ({"render_mode": "rgb_array", "config": "arm-two-button"}, UnsupportedError, "cannot draw an arm"),
         ({"config": "push-block"}, UnsupportedError, "physics"),
         ({"output": "jax"}, ConfigError, "'numpy' or 'torch'"),
         ({"autoreset_mode": "never"}, ConfigError, "'NextStep', 'SameStep', 'Disabled'"),

@@ -1,7 +1,7 @@
 """Deep deterministic policy gradient on discrete actions, through a relaxation.
 
-Lillicrap et al. (2016). The actor gives one number per action and the environment gets the argmax. The critic sees the
-action that ran as a one-hot vector, so that the actor can follow an exact expectation.
+Lillicrap et al. (2016). The actor outputs one number per action, and the environment receives the argmax. The critic's
+input is the executed action as a one-hot vector, which lets the actor follow an exact expectation.
 """
 
 from __future__ import annotations
@@ -36,34 +36,34 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class DDPGSettings(AgentSettings):
-    """Settings of `ddpg`; `warmup` is the critic's."""
+    """Settings of `ddpg`; `warmup` applies to the critic."""
 
     relaxation: Literal["one-hot", "linear"] = "one-hot"
-    """Action vector that the critic sees. `one-hot`: the action that ran, so that the actor can follow its expected
-    value under the softmax of its outputs. `linear`: the actor's unbounded outputs with their noise, as in the
-    paper."""
+    """Action vector as input of the critic. `one-hot`: the executed action; the actor follows its expected value under
+    the softmax of its outputs. `linear`: the actor's unbounded outputs with their noise, as in the paper."""
     exploration: Literal["epsilon-greedy", "ornstein-uhlenbeck"] = "epsilon-greedy"
-    """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: noise with memory on the
+    """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: correlated noise on the
     actor's outputs."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.005
-    """Share of the online networks blended into the target networks at each update."""
+    """Share of the online networks blended into the target networks at each update. Smaller rates are slower and more
+    stable."""
     average_actor: bool = True
-    """The greedy policy is the target actor's, whose weights are an average of the actor's recent ones (Polyak and
-    Juditsky 1992): the argmax of an actor that is still learning changes from one update to the next."""
+    """Use the target actor, an average of recent weights (Polyak and Juditsky 1992), as greedy policy. The argmax of
+    the actor itself changes from one update to the next during learning."""
     replay_capacity: Annotated[int, Range(1)] = 100_000
     """Decisions kept for replay."""
     actor_warmup: Annotated[int, Range(0)] = 1_000
     """Steps of the clock before the actor's first update."""
     entropy_weight: Annotated[float, Range(0)] = 0.3
     """Weight of the actor's entropy in its loss, in scaled rewards; `one-hot` only. It keeps the softmax's gradient
-    alive and leaves the argmax of the best policy where it is."""
+    alive and does not change the argmax of the best policy."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive. Higher values look further ahead and learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
 
@@ -72,7 +72,7 @@ class DDPGSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
 
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
@@ -87,7 +87,7 @@ class DDPGSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
 
@@ -101,37 +101,37 @@ class DDPGSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
 
 
 class OneHotRelaxation:
     """The action vector is one-hot.
 
-    The actor maximises the mean of sum over legal o of pi(o | s) Q(s, o), pi the softmax of its outputs: with few
-    actions that sum is exact (Christodoulou 2019), where a drawn relaxation (Jang, Gu and Poole 2017; Lowe et al. 2017)
-    only estimates its gradient.
+    The actor maximises the mean of sum over legal o of pi(o | s) Q(s, o), pi the softmax of its outputs. With few
+    actions that sum is exact (Christodoulou 2019), while a sampled relaxation (Jang, Gu and Poole 2017; Lowe et al.
+    2017) only estimates its gradient.
 
     Args:
-        entropy_weight: of the actor's entropy in its loss.
+        entropy_weight: weight of the actor's entropy in its loss.
     """
 
     def __init__(self, entropy_weight: float) -> None:
         self._entropy_weight = entropy_weight
 
     def encode(self, outputs: Any, action: Any) -> Any:
-        """Vectors that replay keeps, (n, actions), of outputs of that shape and actions (n,), arrays or tensors."""
+        """Return the vectors for replay, (n, actions), of outputs (n, actions) and actions (n,), arrays or tensors."""
         library: Any = np if isinstance(outputs, np.ndarray) else torch
         columns = library.arange(outputs.shape[1], device=outputs.device)
         return (columns == action[:, None]) + library.zeros_like(outputs)
 
     def relax(self, outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-        """The best legal actions for an actor's outputs, all (batch, actions)."""
+        """Return the best legal actions for an actor's outputs as vectors, all (batch, actions)."""
         best = outputs.masked_fill(~mask, -torch.inf).argmax(dim=1)
         return functional.one_hot(best, outputs.shape[1]).to(outputs.dtype)
 
     def compute_actor_loss(self, critic: Callable[[torch.Tensor], torch.Tensor], observation: torch.Tensor,
                            outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-        """Minus the mean of sum over legal o of pi(o | s) Q(s, o), less the weighted entropy of pi."""
+        """Return minus the mean of sum over legal o of pi(o | s) Q(s, o), minus the weighted entropy of pi."""
         log_policy = functional.log_softmax(outputs.masked_fill(~mask, -1e9), dim=1)
         policy = log_policy.exp()
         entropy = -(policy * log_policy).sum(dim=1).mean()
@@ -146,8 +146,8 @@ class OneHotRelaxation:
 class DDPG(ReplayAgent):
     """Critic: minimise the mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)). Actor: maximise the mean of Q(s, mu(s)).
 
-    R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The action that runs is the argmax of
-    the actor's outputs over legal actions; the relaxation turns it into the vector a that the critic sees.
+    R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The executed action is the argmax of
+    the actor's outputs over legal actions; the relaxation converts it to the critic's input a.
     """
 
     settings: DDPGSettings
@@ -174,11 +174,11 @@ class DDPG(ReplayAgent):
         self.relaxation = LinearRelaxation() if self._is_linear else OneHotRelaxation(settings.entropy_weight)
         self._noise_rng = make_rng(seed, "actions")
         self._noise = OrnsteinUhlenbeck(actions) if settings.exploration == "ornstein-uhlenbeck" else None
-        self._vector = np.zeros((1, actions), np.float32)  # of the latest actions of one environment, for replay
+        self._vector = np.zeros((1, actions), np.float32)  # for replay: of the latest actions of one environment
         self._conduct: dict[str, float] = {}
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Outputs of the actor behind the greedy policy at an observation, before the mask, float32 (actions,)."""
+        """Return outputs of the actor behind the greedy policy, before the mask, float32 (actions,)."""
         return self._best_actor.compute(self._encoder.encode(observation))
 
     @property
@@ -186,7 +186,7 @@ class DDPG(ReplayAgent):
         return self.target_actor if self.settings.average_actor else self.actor
 
     def act(self, batch: Moments) -> Any:
-        """The argmax of the actor's outputs with noise, or a random action, as the settings say, int64 (n,)."""
+        """Return the argmax of the actor's outputs with noise, or a random action, by the settings, int64 (n,)."""
         preferences = outputs = self.actor.evaluate(self._encoder.encode_batch(batch.observation))
         if self._noise is not None:
             outputs = preferences + self._noise.sample(self._noise_rng).astype(np.float32)
@@ -213,7 +213,7 @@ class DDPG(ReplayAgent):
         return {"epsilon": epsilon, **self.make_due_updates(batch.duration), **conduct}
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin episodes; `AgentSettingsError` for many environments with noise of memory or the paper's relaxation."""
+        """Begin episodes. Raises `AgentSettingsError` for several environments with correlated noise or `linear`."""
         for name, allowed in (("exploration", "epsilon-greedy"), ("relaxation", "one-hot")):
             if (value := getattr(self.settings, name)) != allowed and device is not None:
                 raise AgentSettingsError(name, value, f"{allowed!r} in many environments at once")
@@ -225,7 +225,7 @@ class DDPG(ReplayAgent):
             learner.move(device)
 
     def update(self, batch: Experience) -> Mapping[str, float]:
-        """One gradient step of the critic and one of the actor, each once it is warm."""
+        """Make one gradient step of the critic and one of the actor, each after its warm-up."""
         metrics: dict[str, float] = {}
         if self._schedule.steps > self.settings.warmup:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
@@ -237,7 +237,7 @@ class DDPG(ReplayAgent):
         return metrics
 
     def compute_critic_loss(self, batch: Experience) -> torch.Tensor:
-        """The mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)) over a batch of arrays or tensors."""
+        """Return the mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)) over a batch of arrays or tensors."""
         observation, _, action, reward, bootstrap, next_observation, next_mask = map(torch.as_tensor, batch)
         with torch.no_grad():
             next_action = self.relaxation.relax(self.target_actor(next_observation), next_mask)
@@ -247,6 +247,6 @@ class DDPG(ReplayAgent):
         return compute_td_loss(value, targets, self.settings.loss)
 
     def compute_actor_loss(self, batch: Experience) -> torch.Tensor:
-        """Minus the mean value, to the critic, of the actor's choices over a batch of arrays or tensors."""
+        """Return minus the critic's mean value of the actor's choices over a batch of arrays or tensors."""
         observation, mask = torch.as_tensor(batch.observation), torch.as_tensor(batch.mask)
         return self.relaxation.compute_actor_loss(self.critic, observation, self.actor(observation), mask)

@@ -1,7 +1,7 @@
-"""Intra-option Q-learning: every primitive teaches every option that would have done the same.
+"""Intra-option Q-learning: every primitive updates every option that would have chosen it.
 
-Sutton, Precup and Singh (1999), section 6. It needs to see inside options, so the environment must
-give traces (see `agent.make_transition`); on a flat environment it is Q-learning.
+Sutton, Precup and Singh (1999), section 6. The environment must give traces of the primitives inside options (see
+`agent.make_transition`). On a flat environment the algorithm is Q-learning.
 """
 
 from __future__ import annotations
@@ -23,54 +23,55 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class IntraOptionQSettings(AgentSettings):
-    """Use of the options, beside the settings of every agent with a table.
+    """Settings of `intra-option-q`: the use of options, and the settings of every agent with a table.
 
-    Given to exploration alone, they show how much of their help that is; repeated primitives are the control, temporal
-    extension without goals.
+    Options for exploration only measure how much of their benefit that is. Repeated primitives are the control:
+    temporal extension without goals.
     """
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     options_serve: Literal["all", "exploration", "nothing"] = "all"
-    """`all`: they are chosen and valued. `exploration`: random choices may be options; values are backed up over
-    primitives alone, which alone are greedy. `nothing`: as if there were none. For environments with primitives beside
-    options; an option is known by its first run, so it is run once in any case."""
+    """`all`: options are chosen and valued. `exploration`: random choices can be options, but only primitives are
+    valued and greedy. `nothing`: options are ignored. For environments with primitives and options; an option is
+    recognised by its first run and therefore runs once in any case."""
     repeats: tuple[Annotated[int, Range(1)], ...] = ()
-    """Decisions for which a random choice is repeated, one of these drawn each time; empty for one."""
+    """Numbers of decisions that a random choice is repeated for, one drawn each time; empty for one decision."""
 
 
 class IntraOptionQ(TabularAgent):
@@ -81,12 +82,12 @@ class IntraOptionQ(TabularAgent):
         Q(s, o) <- Q(s, o) + alpha [r + gamma U(s', o) - Q(s, o)]
         U(s', o) = (1 - beta_o(s')) Q(s', o) + beta_o(s') max over legal o' of Q(s', o')
 
-    and U = 0 where the episode terminated. Where the item is a decision of a level below, of k primitives, r is its
-    discounted reward and gamma^k stands for gamma. beta is that of s', the state reached. Only options whose policy is
-    a function of the state are consistent with anything; the executed option, if it is not among them, is learned by
-    the SMDP backup of `q-learning`, once a decision. A trace is worked through from its end, so that one pass
-    carries a reward all the way back. Where the trace does not say which actions are legal at a state
-    inside an option, no maximum over them can be taken, and updates that need it are left out.
+    and U = 0 if the episode terminated. If the item is a decision of a level below, of k primitives, r is its
+    discounted reward and gamma^k replaces gamma. beta refers to s', the next state. Only options whose policy is a
+    function of the state are consistent with a primitive. The executed option, if it is not among them, is updated once
+    per decision by the SMDP backup of `q-learning`. Traces are processed from their end, and one pass carries a reward
+    all the way back. If the trace lacks the legal actions of a state inside an option, updates with a maximum over them
+    are skipped.
     """
 
     needs_trace: ClassVar[bool] = True
@@ -97,15 +98,15 @@ class IntraOptionQ(TabularAgent):
                  settings: IntraOptionQSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._is_option = np.zeros(count_actions(action_space, self.name), np.bool_)
-        self._repeated = (0, 0)  # a random choice, and for how many decisions more
+        self._repeated = (0, 0)  # a random choice, and for how many more decisions
 
     def _leave_out(self, mask: NDArray[np.bool_], uses: tuple[str, ...]) -> NDArray[np.bool_]:
-        """A mask without options where they serve one of these; whole where nothing would be left."""
+        """Mask without options if `options_serve` is one of `uses`; unchanged if no action would remain."""
         left = mask & ~self._is_option
         return left if self.settings.options_serve in uses and left.any() else mask
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Explore as the settings say, with the actions that they allow."""
+        """Explore as the settings define, among the actions that they allow."""
         settings, (choice, left) = self.settings, self._repeated
         drawn = self._leave_out(action_mask, ("nothing",))
         if left and drawn[choice]:
@@ -120,14 +121,14 @@ class IntraOptionQ(TabularAgent):
         return choice
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest value, drawn among equals; a primitive where options do not serve `all`."""
+        """Return the legal action of highest value, ties at random; a primitive unless options serve `all`."""
         return super().act_greedy(observation, self._leave_out(action_mask, ("exploration", "nothing")), rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn from the primitives inside the decision, and from the decision where they do not cover it.
+        """Learn from the primitives inside the decision, and from the decision if they do not cover it.
 
         Raises:
-            StepContractError: an option ran but the environment gave no trace of it.
+            StepContractError: an option ran and the environment gave no trace of it.
         """
         trace = transition.trace
         covers = sum(len(_get_rewards(item)) for item in trace)

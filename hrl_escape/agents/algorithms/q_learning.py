@@ -1,7 +1,7 @@
 """Tabular Q-learning over decisions of any duration.
 
-SMDP Q-learning of Bradtke and Duff (1994), as in Sutton, Precup and Singh (1999), section 3.2;
-with durations of 1 it is Q-learning of Watkins (1989).
+SMDP Q-learning of Bradtke and Duff (1994), as in Sutton, Precup and Singh (1999), section 3.2. With durations of 1 it
+is Q-learning of Watkins (1989).
 """
 
 from __future__ import annotations
@@ -21,50 +21,51 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class QLearningSettings(AgentSettings):
-    """Those of every agent with a table, and a bonus by counts, for `q-learning`."""
+    """Settings of `q-learning`: the settings of every agent with a table, and a bonus by counts."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     bonus_weight: Annotated[float, Range(0)] = 0.0
-    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
-    nothing."""
+    """Largest cost of reaching known cells, in units of return: the n-th visit costs bonus_weight (1 - 1 / sqrt(n)).
+    More explores more; 0 turns the bonus off."""
     bonus_bins: Annotated[int, Range(2)] = 5
-    """A component of the observation with bounds is rounded to the nearest of this many points for counting, both ends
-    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to for counting: 5 over a 20 m
+    room is 5 m. Binary components are unchanged."""
 
 
 class QLearning(RowStreamAgent, TabularAgent):
@@ -79,6 +80,6 @@ class QLearning(RowStreamAgent, TabularAgent):
         self._bonus = CountBonus(observation_space, self.settings.bonus_weight, self.settings.bonus_bins, self.name)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Back up the decision, with the bonus of the state reached."""
+        """Back up the decision, with the bonus of the next state."""
         error = self.back_up(transition, self._bonus.visit(transition.next_observation))
         return self.finish_decision(transition, error)

@@ -1,8 +1,8 @@
 """R-MAX: optimism about unknown pairs of state and action, and planning (Brafman and Tennenholtz 2002).
 
-Over decisions of any duration, as in R-MAXQ's lowest level (Jong and Stone 2008): a pair of state and action is known
-after `visits` samples; the model of known pairs is solved by value iteration. It knows no factors: experience in one
-state says nothing about another, so the states it has to visit grow exponentially with the number of buttons.
+It runs over decisions of any duration, as in R-MAXQ's lowest level (Jong and Stone 2008): a pair of state and action is
+known after `visits` samples, and value iteration solves the model of known pairs. It has no factors: experience in one
+state does not transfer to another, and the states that it has to visit grow exponentially with the number of buttons.
 """
 
 from __future__ import annotations
@@ -24,36 +24,38 @@ from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 SWEEPS = 20_000
-"""Bound on sweeps of value iteration, for discounts near 1."""
+"""Largest number of sweeps of value iteration, for discounts near 1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RMaxSettings(AgentSettings):
-    """States as `r-max` tells them apart, samples that make a pair known, and the value of unknown pairs."""
+    """Settings of `r-max`: states, samples that make a pair known, and the value of unknown pairs."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     visits: Annotated[int, Range(1)] = 1
-    """Samples that make a pair of state and action known (m); 1 is enough where outcomes are deterministic."""
+    """m, samples that make a pair of state and action known. 1 is enough for deterministic outcomes; more are needed
+    under noise."""
     optimistic_value: float = 100.0
-    """Value of a pair that is not known, in units of return: no state's true value may be higher."""
+    """Value of an unknown pair, in units of return. No true value may be higher; higher values explore more."""
     states: Literal["factors", "cells"] = "factors"
-    """`factors`: a state is its discrete components, in a room the puzzle's bits, whatever the pose. `cells`: every
-    component counts, rounded by `bins` and `resolution`."""
+    """`factors`: a state is its discrete components, in a room the puzzle's bits, without the pose. `cells`: all
+    components, rounded by `bins` and `resolution`."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
-    """Value iteration stops when no value moves by more than this."""
+    """Tolerance of value iteration, which stops when all changes are smaller. Smaller values are more precise and
+    slower."""
 
 
-_KEPT = SMDPTransition._fields[:-2]  # nothing that was cut, and no trace
+_KEPT = SMDPTransition._fields[:-2]  # without the flag of truncation and the trace
 
 
 class RMax(RowStreamAgent):
-    """Optimism over a table: every pair is tried `visits` times before it is weighed."""
+    """Optimism over a table: every pair is tried `visits` times before its model is used."""
 
     settings: RMaxSettings
     STATE = (Kept("_history", pack=lambda history: pack_columns(history, _KEPT),
@@ -75,15 +77,15 @@ class RMax(RowStreamAgent):
         self._rebuild()
 
     def _rebuild(self) -> None:
-        """Rebuild the table from the history, because states are now told apart in another way."""
+        """Rebuild the table from the history after the definition of states has changed."""
         self._numbers: dict[bytes, int] = {}
-        self._legal: list[NDArray[np.bool_]] = []  # by state, what was ever legal there
+        self._legal: list[NDArray[np.bool_]] = []  # by state, actions that were ever legal
         self._counts: list[NDArray[np.int64]] = []
         self._rewards: list[NDArray[np.float64]] = []
         self._weights: list[dict[tuple[int, int], float]] = []  # by state, (action, next state) -> sum of gamma^k
         self._values = np.zeros(0)
         self._is_stale = True
-        self._known_values: NDArray[np.float64] | None = None  # of what is known alone; a function of the counts
+        self._known_values: NDArray[np.float64] | None = None  # from known pairs only; a function of the counts
         for transition in self._history:
             self._learn(transition)
 
@@ -94,7 +96,7 @@ class RMax(RowStreamAgent):
         return self._reader.read(self._reader.flatten(observation)).tobytes()
 
     def _number(self, observation: Any) -> int:
-        """The state's row, a new one at the first meeting."""
+        """The state's row, which is created at the first visit."""
         key = self._key(observation)
         if key not in self._numbers:
             self._numbers[key] = len(self._legal)
@@ -105,7 +107,7 @@ class RMax(RowStreamAgent):
         return self._numbers[key]
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """A legal action that is not known, if there is one; else the best by the optimistic model."""
+        """Return an unknown legal action if there is one, otherwise the best by the optimistic model."""
         number = self._numbers.get(self._key(observation))
         counts = np.zeros(self._actions) if number is None else self._counts[number]
         unknown = action_mask & (counts < self.settings.visits)
@@ -116,12 +118,12 @@ class RMax(RowStreamAgent):
         return self._choose(number, self._values, action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The best by what is known alone; where nothing is, any."""
+        """Return the best action by known pairs only, or a random one without known pairs."""
         number = self._numbers.get(self._key(observation))
         if number is None:
             return sample_legal(action_mask, rng)
         if self._known_values is None:
-            self._known_values = self._solve(np.zeros(0), None)  # from nothing, so that evaluating changes nothing
+            self._known_values = self._solve(np.zeros(0), None)  # from zero, which makes evaluations reproducible
         return self._choose(number, self._known_values, action_mask, rng)
 
     def _choose(self, number: int, values: NDArray[np.float64], mask: NDArray[np.bool_], rng: np.random.Generator
@@ -139,7 +141,7 @@ class RMax(RowStreamAgent):
         return row / np.maximum(self._counts[number], 1)
 
     def compute_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q(s, .) of the optimistic model, float64 (actions,): `optimistic_value` where a pair is not known."""
+        """Return Q(s, .) of the optimistic model, float64 (actions,): `optimistic_value` for unknown pairs."""
         unknown = np.full(self._actions, float(self.settings.optimistic_value))
         number = self._numbers.get(self._key(observation))
         if number is None:
@@ -149,10 +151,10 @@ class RMax(RowStreamAgent):
         return np.where(is_known, self._compute_row(number, values), unknown)
 
     def _solve(self, values: NDArray[np.float64], unknown: float | None) -> NDArray[np.float64]:
-        """Value iteration over the states met, (states,), from earlier values, of fewer states maybe, on.
+        """Value iteration over the visited states, (states,), from earlier values, possibly of fewer states.
 
-        `unknown` is what pairs that are not known are worth; None leaves them out. A state whose pairs are all left out
-        is worth what never ending there costs.
+        `unknown` is the value of unknown pairs; None leaves them out. A state without any remaining pair gets the value
+        of staying there forever.
         """
         states = len(self._legal)
         counts, legal = np.array(self._counts), np.array(self._legal)
@@ -180,9 +182,9 @@ class RMax(RowStreamAgent):
         return current
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Count, also what is known: it plans anew when a pair's samples have doubled or show something new."""
+        """Count the decision, and plan again when a pair's samples have doubled or show something new."""
         if transition.cut:
-            return {}  # a cut inside an action does not show where it leads
+            return {}  # an action that was cut inside has no outcome
         kept = transition._replace(trace=())
         self._history.append(kept)
         flats = [] if self._reader is None else [
@@ -213,7 +215,7 @@ class RMax(RowStreamAgent):
         self._known_values = None
 
     def after_load(self) -> None:
-        """Make the table anew from the history; the values are those that were kept."""
+        """Rebuild the table from the history; the values are stored."""
         if self._reader is not None and self._history:
             observations = [each for row in self._history for each in (row.observation, row.next_observation)]
             self._reader.notice(np.stack([self._reader.flatten(each) for each in observations]))

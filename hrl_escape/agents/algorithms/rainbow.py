@@ -1,8 +1,8 @@
-"""Rainbow: `dqn` with distributions of returns, dueling streams, priorities and, if asked for, noisy weights.
+"""Rainbow: `dqn` with distributions of returns, dueling streams, priorities and, optionally, noisy weights.
 
-Hessel et al. (2018), on SMDP backups. Its parts are those of Bellemare, Dabney and Munos (2017), Wang et al. (2016),
-Schaul et al. (2016) and Fortunato et al. (2018); double estimation and backups of n decisions are `dqn`'s own. With all
-four off it is `dqn` to the bit.
+Hessel et al. (2018), on SMDP backups. The parts come from Bellemare, Dabney and Munos (2017), Wang et al. (2016),
+Schaul et al. (2016) and Fortunato et al. (2018); double estimation and backups of n decisions are part of `dqn`.
+Without these four parts it equals `dqn` exactly.
 """
 
 from __future__ import annotations
@@ -38,37 +38,38 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class RainbowSettings(AgentSettings):
-    """Settings of `rainbow`: its own parts, then those of `dqn`.
+    """Settings of `rainbow`: its own parts, then the settings of `dqn`.
 
-    Defaults are those of the paper but for the support, `importance` and the noise, which costs networks of this size
+    Defaults follow the paper except for the support, `importance` and the noise. In networks of this size, noise costs
     more than it explores (`benchmarks/README.md`).
     """
 
     noise: Annotated[float, Range(0)] = 0.0
-    """sigma_0 of the noise in the weights, drawn for each decision in place of epsilon: its standard deviation at the
-    beginning, times the square root of a layer's inputs; 0.5 in the paper. 0 has none, and explores as `dqn` does."""
+    """sigma_0, initial standard deviation of the noise in the weights, times the square root of a layer's inputs; 0.5
+    in the paper. Noise is drawn for each decision and replaces epsilon. 0 explores as `dqn` does."""
     dueling: bool = True
     """Separate streams for the state and for the advantages of actions."""
     atoms: Annotated[int, Range(1)] = 51
-    """Returns whose probabilities are learned, evenly spaced from `lowest_return` to `highest_return`; 1 learns the
-    mean alone, without bounds."""
+    """Number of atoms: returns with learned probabilities, evenly spaced from `lowest_return` to `highest_return`. More
+    are more precise; 1 learns the mean alone, without bounds."""
     lowest_return: float | None = None
-    """The lowest atom, in units of return. None is -1 / (1 - gamma), that of a reward of -1 for ever."""
+    """Lowest atom, in units of return. By default -1 / (1 - gamma), the return of a reward of -1 forever."""
     highest_return: float = 100.0
-    """The highest atom, in units of return: the reward of an exit. Returns beyond the atoms count as the nearest."""
+    """Highest atom, in units of return: the reward of an exit. Returns beyond the atoms count as the nearest atom."""
     priority_exponent: Annotated[float, Range(0)] = 0.5
-    """omega: decisions are drawn from replay in proportion to their latest loss to this power; 0 draws uniformly."""
+    """omega: the probability of a decision in replay is proportional to its latest loss to this power. More focuses on
+    surprising decisions; 0 draws uniformly."""
     importance: Annotated[float, Range(0, 1)] = 0.4
-    """beta at the beginning, the power to which weights undo the priorities; it rises linearly to 1."""
+    """beta at the beginning, the power of the weights that correct for priorities; it rises linearly to 1."""
     importance_steps: Annotated[int, Range(1)] = 100_000
-    """Steps of the clock over which `importance` rises."""
+    """Number of clock steps of the linear increase of `importance`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive. Higher values look further ahead and learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
 
@@ -79,18 +80,18 @@ class RainbowSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
     """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
     """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; 0 sets none."""
     bonus: Literal["counts", "distillation"] = "counts"
-    """Novelty behind `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et
-    al. 2018)."""
+    """Novelty for `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et al.
+    2018)."""
     bonus_weight: Annotated[float, Range(0)] = 0.0
-    """Largest cost of reaching what is known, in units of return. More explores more; 0 turns novelty off."""
+    """Largest cost of reaching known states, in units of return. More explores more; 0 turns novelty off."""
     bonus_bins: Annotated[int, Range(2)] = 5
-    """Points to which a bounded component is rounded for counting. More make finer cells, each met less often."""
+    """Points to round a bounded component to for counting. More make finer cells with fewer visits each."""
 
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, for the
@@ -108,7 +109,7 @@ class RainbowSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
 
@@ -123,7 +124,7 @@ class RainbowSettings(AgentSettings):
     target_every: Annotated[int, Range(1)] = 200
     """Updates of the online network to one of the target network. Fewer follow faster and are less stable."""
     average_rate: Annotated[float, Range(0, 1)] = 0.005
-    """Share of the online network blended at each update into the average that the greedy policy follows; 0 keeps no
+    """Share of the online network blended at each update into the average that the greedy policy uses. 0 keeps no
     average."""
 
     replay_capacity: Annotated[int, Range(1)] = 50_000
@@ -138,10 +139,10 @@ class RainbowSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     hindsight_goals: Annotated[int, Range(0)] = 0
-    """Goals achieved later in its episode with which a decision is stored again (Andrychowicz et al. 2017, who take
-    4). For environments with goals; 0 for none."""
+    """Number of goals achieved later in its episode that each decision is stored with again (4 in Andrychowicz et al.
+    2017). For environments with goals; 0 for none."""
 
 
     @property
@@ -152,11 +153,11 @@ class RainbowSettings(AgentSettings):
 
     @property
     def has_own_network(self) -> bool:
-        """Dueling, atoms or noise ask for layers that a network of one number an action does not have."""
+        """Whether dueling, atoms or noise require more than a network of one number per action."""
         return self.dueling or self.atoms > 1 or self.noise > 0
 
     def check(self) -> None:
-        """Refuse bounds that are none, and rows of objects in the network's own layers."""
+        """Check the bounds of returns, and that layers of its own are used with `mlp` only."""
         low, high = self.bounds
         if self.atoms > 1 and (not low < high or self.gamma == 1 and self.lowest_return is None):
             raise AgentSettingsError("RainbowSettings.lowest_return", self.lowest_return,
@@ -167,21 +168,21 @@ class RainbowSettings(AgentSettings):
 
 
 def project(reward: Tensor, bootstrap: Tensor, shares: Tensor, support: Tensor) -> Tensor:
-    """Probabilities of R + b Z on the atoms of Z, each moved atom shared by its two neighbours (C51, algorithm 1).
+    """Project the distribution of R + b Z onto the atoms of Z; each moved atom is shared by its two neighbours.
 
-    R and b, the product of gamma^k of the decisions joined, are (batch,), the probabilities `shares` of Z (batch,
-    atoms), as the result, whose rows sum to 1; `support` are the atoms, evenly spaced. What lies beyond them counts as
-    their end.
+    This is algorithm 1 of C51. R and b, the product of gamma^k of the joined decisions, are (batch,). The probabilities
+    `shares` of Z and of the result are (batch, atoms), with rows of sum 1. `support` are the evenly spaced atoms.
+    Values beyond them count as the nearest end.
     """
     moved = (reward[:, None] + bootstrap[:, None] * support).clamp(support[0], support[-1])
     place = (moved - support[0]) / (support[1] - support[0])
-    # A triangle of width 1 round each atom, so that a place on an atom is no case of its own.
+    # A triangle of width 1 around each atom, which needs no special case for values on an atom.
     near = (1 - (place[:, :, None] - torch.arange(len(support), device=support.device)).abs()).clamp(min=0)
     return torch.einsum("bi,bij->bj", shares, near)
 
 
 class ReturnLayers(nn.Module):
-    """Layers from encoded observations to the returns of all actions: dueling, by atoms, under noise, as settings say.
+    """Layers from encoded observations to the returns of all actions: dueling, atoms and noise as configured.
 
     Attributes:
         support: atoms in scaled rewards, (atoms,).
@@ -214,7 +215,7 @@ class ReturnLayers(nn.Module):
         self.register_buffer("support", torch.linspace(low, high, settings.atoms), persistent=False)
 
     def compute_logits(self, observation: Tensor) -> Tensor:
-        """Logits of the atoms, or values where there is one, (n, actions, atoms)."""
+        """Return logits of the atoms, or values with a single atom, (n, actions, atoms)."""
         hidden = self.body(observation)
         advantage = self.advantage(hidden).unflatten(1, (self._actions, -1))
         if self.state is None:
@@ -222,7 +223,7 @@ class ReturnLayers(nn.Module):
         return self.state(hidden)[:, None] + advantage - advantage.mean(dim=1, keepdim=True)
 
     def forward(self, observation: Tensor) -> Tensor:
-        """Means of the returns, in scaled rewards, (n, actions)."""
+        """Return means of the returns, in scaled rewards, (n, actions)."""
         logits = self.compute_logits(observation)
         return logits.squeeze(2) if logits.shape[2] == 1 else logits.softmax(dim=2) @ self.support
 
@@ -230,9 +231,9 @@ class ReturnLayers(nn.Module):
 class Rainbow(DQN):
     """Minimise the mean of w KL(projected R + b Z_target(s', o*) || Z_theta(s, o)), o* as in `dqn`.
 
-    Z are distributions of returns over `atoms`, Q their means; w undoes the priorities with which decisions are drawn.
-    R and b are those of an SMDP backup of `n_step` decisions, so that an option shrinks the support by its own gamma^k.
-    With one atom the loss is that of `dqn`. Evaluation follows the means of noisy weights.
+    Z are distributions of returns over `atoms`, Q their means; w corrects for the priorities of sampling. R and b
+    belong to an SMDP backup of `n_step` decisions, and an option therefore shrinks the support by its own gamma^k. With
+    one atom the loss is the same as in `dqn`. Evaluation uses the means of noisy weights.
     """
 
     Settings: ClassVar[type] = RainbowSettings
@@ -255,7 +256,7 @@ class Rainbow(DQN):
 
     @contextmanager
     def _draw_noise(self) -> Iterator[None]:
-        """Noise in the online and the target network; afterwards there is none, and evaluation follows the means."""
+        """Use noise in the online and the target network during the block; evaluation uses the means."""
         layers = [layer for network in (self.values.online, self.values.target) for layer in network.modules()
                   if isinstance(layer, NoisyLinear)]
         for layer in layers:
@@ -265,26 +266,26 @@ class Rainbow(DQN):
             layer.draw(None)
 
     def act(self, batch: Moments) -> Any:
-        """Explore by the online network, under one noise for all rows, int64 (n,)."""
+        """Explore by the online network, with one noise for all rows, int64 (n,)."""
         with self._draw_noise():
             return super().act(batch)
 
     def get_exploration(self) -> dict[str, float]:
-        """Parameters of exploration; epsilon is 0 where noise in the weights explores."""
+        """Return parameters of exploration; epsilon is 0 if noise in the weights explores."""
         return super().get_exploration() | ({"epsilon": 0.0} if self.settings.noise else {})
 
     def make_replay(self, num_envs: int, device: torch.device | None) -> None:
-        """Make an empty replay, and priorities of its rows."""
+        """Make an empty replay with priorities of its rows."""
         super().make_replay(num_envs, device)
         self._priorities = Priorities(self.settings.priority_exponent)
         self._replay_rng = make_rng(self._seed, "replay")
 
     def list_running(self) -> dict[str, Stateful]:
-        """Parts that belong to the present environments, by the names in a checkpoint."""
+        """Return parts that belong to the current environments, by their names in a checkpoint."""
         return super().list_running() | {"priorities": self._priorities}
 
     def draw(self, size: int) -> Experience:
-        """Draw a batch by priorities, whose rows and weights are kept for the update."""
+        """Draw a batch by priorities; its rows and weights are stored for the update."""
         settings = self.settings
         if not settings.priority_exponent:
             return super().draw(size)
@@ -295,7 +296,7 @@ class Rainbow(DQN):
         return self.replay.take(self._arrays.restore(self._drawn[0]))
 
     def compute_targets(self, batch: Experience) -> Tensor:
-        """Projected distributions of R + b Z_target(s', o*), (batch, atoms); with one atom its value, (batch,)."""
+        """Return projected distributions of R + b Z_target(s', o*), (batch, atoms), or values (batch,) for one atom."""
         if self.settings.atoms == 1:
             return super().compute_targets(batch)
         layers: Any = self.values.target[0]
@@ -304,7 +305,7 @@ class Rainbow(DQN):
         return project(batch.reward, batch.bootstrap, shares[torch.arange(len(best)), best.squeeze(1)], layers.support)
 
     def compute_losses(self, batch: Experience, targets: Tensor) -> tuple[Tensor, Tensor]:
-        """Loss of each decision against its target, (batch,), and Q_theta(s, o), (batch,), without gradient."""
+        """Return each decision's loss against its target, (batch,), and Q_theta(s, o), (batch,), without gradient."""
         if self.settings.atoms == 1:
             values = self.values.online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
             if self.settings.loss == "huber":
@@ -316,7 +317,7 @@ class Rainbow(DQN):
         return known.sum(dim=1), logits.detach().softmax(dim=1) @ layers.support
 
     def update(self, batch: Experience) -> Mapping[str, float]:
-        """One gradient step on a batch, weighted as it was drawn; returns numbers to log."""
+        """Make one gradient step on a batch with its sampling weights; return numbers to log."""
         drawn, self._drawn = self._drawn, None
         if drawn is None and not self.settings.has_own_network:
             return super().update(batch)

@@ -1,6 +1,6 @@
-"""The random policy: uniform over legal actions, learning nothing.
+"""The random policy: uniform over legal actions, without learning.
 
-Over options it measures how much the options' planners already know (Sutton, Precup and Singh 1999 compare with it).
+Over options it measures the contribution of the options' planners (a comparison in Sutton, Precup and Singh 1999).
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class RandomAgent(FixedPolicy):
         self._rng = make_rng(seed, "actions")
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """A legal action, uniformly."""
+        """Return a random legal action."""
         return sample_legal(action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """A legal action, uniformly: this policy is what is evaluated."""
+        """Return a random legal action: the evaluated policy is the random policy itself."""
         return sample_legal(action_mask, rng)

@@ -28,22 +28,21 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class SarsaSettings(AgentSettings):
-    """Settings of `sarsa`; without replay it makes one update a decision."""
+    """Settings of `sarsa`. Without replay it makes one update per decision."""
 
     expected: bool = True
-    """Value s' by its expectation over the policy. False values it by one action drawn from the policy, which is taken
-    next where there is no replay."""
+    """Value s' by its expectation over the policy. False values it by one action drawn from the policy, which is also
+    the next action if there is no replay."""
     late_terminal: bool = False
-    """Repeat a mistake of keras-rl 0.4.2: the flag that the episode ended reaches the agent one decision early. The
-    last decision but one is valued as if nothing followed, and the last bootstraps even from a terminal state. Only
-    without replay."""
+    """Repeat a mistake of keras-rl 0.4.2: the agent receives the flag of the end one decision early. The second to last
+    decision is valued as terminal, and the last bootstraps even from a terminal state. Requires `replay_capacity=0`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive. Higher values look further ahead and learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
 
@@ -54,7 +53,7 @@ class SarsaSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
     """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
@@ -76,7 +75,7 @@ class SarsaSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
 
@@ -85,11 +84,11 @@ class SarsaSettings(AgentSettings):
     target_every: Annotated[int, Range(1)] = 1
     """Updates of the online network to one of the target network. Fewer follow faster and are less stable."""
     average_rate: Annotated[float, Range(0, 1)] = 0.0
-    """Share of the online network blended at each update into the average that the greedy policy follows; 0 keeps no
+    """Share of the online network blended at each update into the average that the greedy policy uses. 0 keeps no
     average."""
 
     replay_capacity: Annotated[int, Range(0)] = 50_000
-    """Decisions kept for replay; 0 learns from each decision once, as it comes."""
+    """Decisions kept for replay; 0 learns from each decision once, when it is made."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the first update."""
     batch_size: Annotated[int, Range(1)] = 64
@@ -100,10 +99,10 @@ class SarsaSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
 
     def check(self) -> None:
-        """Refuse `late_terminal` together with replay, which knows no such mistake."""
+        """Check that `late_terminal` is not combined with replay."""
         if self.late_terminal and self.replay_capacity:
             raise AgentSettingsError("SarsaSettings.late_terminal", True, "False, or replay_capacity = 0")
 
@@ -125,12 +124,12 @@ class Sarsa(ReplayAgent):
                  settings: SarsaSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self.values = ActionValues(self.name, self._encoder, action_space, seed, self.settings)
-        self._next_action: int | None = None  # bootstrapped from, to be taken next
+        self._next_action: int | None = None  # the action of the last bootstrap, to be taken next
         self._late_terminal = LateTerminal()
         self._conduct: dict[str, float] = {}
 
     def act(self, batch: Moments) -> Any:
-        """Explore by the online network, or take the action that the last target was computed with, int64 (n,)."""
+        """Explore by the online network, or return the action of the last bootstrap, int64 (n,)."""
         taken, self._next_action = self._next_action, None
         if taken is not None:
             return np.array((taken,))
@@ -149,7 +148,7 @@ class Sarsa(ReplayAgent):
                 "temperature": settings.temperature if settings.exploration == "boltzmann" else 0.0}
 
     def observe(self, batch: Decisions) -> Mapping[str, float]:
-        """Learn from replay, or from this decision as it comes."""
+        """Learn from replay, or from this decision."""
         experience, over = self.make_experience(batch), batch.terminated | batch.truncated
         if self.settings.replay_capacity:
             self.replay.add(experience, batch.env, over)
@@ -167,20 +166,20 @@ class Sarsa(ReplayAgent):
         return metrics | (self._update_from(experience, next_action) if self._schedule.is_warm else {})
 
     def _choose_next(self, experience: Experience) -> int | None:
-        """An action at s' to bootstrap from and to take next; None where the expectation over all is taken."""
+        """Action at s' to bootstrap from and to take next, or None if the expectation is used."""
         if self.settings.expected:
             return None
         return int(self._explore(experience.next_observation, experience.next_mask)[0])
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin episodes; raises `AgentSettingsError` for many environments without replay."""
+        """Begin episodes. Raises `AgentSettingsError` for several environments without replay."""
         if device is not None and not self.settings.replay_capacity:
             raise AgentSettingsError("replay_capacity", 0, "at least 1 in many environments at once")
         super().begin_episodes(num_envs, device)
         self._next_action = None
 
     def update(self, batch: Experience) -> Mapping[str, float]:
-        """One gradient step on a batch of tensors; returns numbers to log."""
+        """Make one gradient step on a batch of tensors; return numbers to log."""
         return self._update_from(batch, None)
 
     def _update_from(self, batch: Experience, next_action: int | None) -> dict[str, float]:
@@ -190,7 +189,7 @@ class Sarsa(ReplayAgent):
         return self.values.descend(*self.values.compute_loss(tensors, targets))
 
     def compute_targets(self, batch: Experience, next_action: int | None = None) -> torch.Tensor:
-        """R + b V(s'), (batch,); `next_action` is that taken at s', if known, in a batch of one."""
+        """Return R + b V(s'), (batch,). `next_action` is the action at s', if known, for a batch of one."""
         next_online = self.values.online(batch.next_observation) / self.settings.reward_scale
         weights = compute_exploration(next_online, batch.next_mask, **self._get_exploration())
         if not self.settings.expected:
@@ -208,7 +207,7 @@ class Sarsa(ReplayAgent):
         return GreedyPolicy(self._encoder, self.values.average, Memory())
 
     def compute_values(self, observation: Any) -> NDArray:
-        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
+        """Return Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
         return self.values.average.compute(self._encoder.encode(observation)) / self.settings.reward_scale
 
     def move(self, device: torch.device) -> None:

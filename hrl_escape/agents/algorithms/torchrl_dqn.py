@@ -1,6 +1,6 @@
-"""Deep Q-network by TorchRL's parts: `QValueActor`, `EGreedyModule`, `ReplayBuffer`, `DQNLoss` and `HardUpdate`.
+"""Deep Q-network from TorchRL's parts: `QValueActor`, `EGreedyModule`, `ReplayBuffer`, `DQNLoss` and `HardUpdate`.
 
-The algorithm is that of `dqn` with one-step targets, without its averaged network; see `components/torchrl_agent.py`.
+The algorithm is `dqn` with one-step targets and without its averaged network; see `components/torchrl_agent.py`.
 """
 
 from __future__ import annotations
@@ -25,38 +25,39 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class TorchRLDQNSettings(AgentSettings):
-    """Exploration and targets of `torchrl-dqn`, beside replay."""
+    """Settings of `torchrl-dqn`: exploration, targets and replay."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
-    """Gradients are scaled down to this Euclidean norm."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in an update."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Logged values keep units of
+    return."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay."""
     warmup: Annotated[int, Range(0)] = 500
     """Primitives before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
+    """Updates for each primitive. More learn more from the same experience and take longer."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     double: bool = True
-    """The online network chooses the next action, the target network values it."""
+    """The online network chooses the next action and the target network values it, which avoids overestimation."""
     target_every: Annotated[int, Range(1)] = 200
-    """Updates between copies of the online network into the target network."""
+    """Updates between copies of the online network into the target network. Fewer follow faster and are less stable."""
 
 
 class TorchRLDQN(TorchRLReplayAgent):
@@ -86,18 +87,18 @@ class TorchRLDQN(TorchRLReplayAgent):
 
     @property
     def _exploration(self) -> dict[str, torch.Tensor]:
-        """Epsilon now, and its schedule."""
+        """Current epsilon, and its schedule."""
         return dict(self._greed.named_buffers())
 
     def compute_values(self, observation: Any) -> NDArray:
-        """Compute Q(s, .) at an observation, in units of return, float32 (actions,)."""
+        """Return Q(s, .) at an observation, in units of return, float32 (actions,)."""
         return self._compute(observation) / self.settings.reward_scale
 
     def _explore(self, seen: TensorDictBase) -> TensorDictBase:
-        """Choose greedily, or with probability epsilon uniformly."""
+        """Choose greedily, or uniformly with probability epsilon."""
         return self._greed(self._actor(seen))
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Let epsilon fall, store the decision, then make the updates that are due."""
+        """Decay epsilon, store the decision, then make the updates that are due."""
         self._greed.step(transition.duration)
         return super().observe(transition)

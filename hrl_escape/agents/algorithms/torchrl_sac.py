@@ -1,7 +1,7 @@
-"""Discrete soft actor-critic by TorchRL's parts: `ProbabilisticActor`, `ReplayBuffer`, `DiscreteSACLoss`, `SoftUpdate`.
+"""Discrete soft actor-critic from TorchRL: `ProbabilisticActor`, `ReplayBuffer`, `DiscreteSACLoss`, `SoftUpdate`.
 
-Soft actor-critic (Haarnoja et al. 2018) for discrete actions (Christodoulou 2019): the policy is random, and its
-entropy is worth a temperature that is learned.
+Soft actor-critic (Haarnoja et al. 2018) for discrete actions (Christodoulou 2019): the policy is stochastic, and a
+learned temperature weighs its entropy.
 """
 
 from __future__ import annotations
@@ -22,38 +22,40 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class TorchRLSACSettings(AgentSettings):
-    """Temperature and targets of `torchrl-sac`, beside replay."""
+    """Settings of `torchrl-sac`: temperature, targets and replay."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0, open_low=True)] = 10.0
-    """Gradients are scaled down to this Euclidean norm."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in an update."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Logged values keep units of
+    return."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay."""
     warmup: Annotated[int, Range(0)] = 500
     """Primitives before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates for each primitive; an option of 16 primitives is followed by 16 times as many."""
+    """Updates for each primitive. More learn more from the same experience and take longer."""
     alpha: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Temperature at the beginning, in scaled rewards a nat."""
+    """Initial temperature, in scaled rewards per nat. More explores more."""
     entropy_share: Annotated[float, Range(0, 1)] = 0.2
-    """Share of the entropy of the uniform policy over all actions towards which the temperature is learned."""
+    """Target entropy for the temperature, as a fraction of the uniform policy's over all actions. More explores
+    more."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.02
-    """Share of the critics blended into their targets at each update."""
+    """Share of the critics blended into their targets at each update. Smaller rates are slower and more stable."""
 
 
 class TorchRLSAC(TorchRLReplayAgent):
-    """Maximise E[Q(s, o) + alpha H(pi(. | s))], with two critics whose smaller value counts.
+    """Maximise E[Q(s, o) + alpha H(pi(. | s))], with the smaller value of two critics.
 
     The critics' target is R + gamma^k (1 - terminated) sum over legal o' of pi(o' | s') (min Q'(s', o') - alpha log
     pi(o' | s')).
@@ -76,5 +78,5 @@ class TorchRLSAC(TorchRLReplayAgent):
         self._target = SoftUpdate(loss, tau=settings.target_rate)
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Compute the logits of the policy at an observation, before any mask, float32 (actions,)."""
+        """Return the logits of the policy at an observation, before any mask, float32 (actions,)."""
         return self._compute(observation)

@@ -1,7 +1,7 @@
 """Arrays and random draws of a batch of decisions: NumPy in one environment, tensors on a device in many.
 
-One text serves both libraries, because what is called on `Arrays.library` has one name in both. NumPy takes a
-twentieth of the time for a batch of one.
+The same code serves both libraries, because the functions used on `Arrays.library` have the same names in both. For a
+batch of one, NumPy takes a twentieth of the time.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from hrl_escape.agents.state import Stateful
 
 
 class Arrays(Stateful):
-    """A library of arrays, and a generator of its own kind.
+    """A library of arrays, with a random generator of its own type.
 
     Args:
-        rng: generator of the draws; of tensors it draws the seed.
-        device: device of tensors; None for NumPy.
+        rng: generator of the draws; with tensors it draws the seed of theirs.
+        device: device of tensors, or None for NumPy.
 
     Attributes:
         library: `numpy` or `torch`.
@@ -41,11 +41,11 @@ class Arrays(Stateful):
         return self.library.zeros(shape, dtype=getattr(self.library, dtype), device=str(self.device))
 
     def arange(self, first: int, count: int) -> Any:
-        """Return the numbers from `first` on, int64 (count,)."""
+        """Return `count` consecutive numbers from `first`, int64 (count,)."""
         return self.library.arange(first, first + count, device=str(self.device))
 
     def take(self, rows: Any, which: Any) -> Any:
-        """Return some rows, int64 (n,), of an array; several times faster than by an index."""
+        """Return some rows, int64 (n,), of an array; several times faster than indexing."""
         return rows.take(which, axis=0) if self.library is np else rows.index_select(0, which)
 
     def draw_numbers(self, below: int, count: int) -> Any:
@@ -57,7 +57,7 @@ class Arrays(Stateful):
     def draw_choices(self, probabilities: Any) -> Any:
         """Draw an index from each row of probabilities, int64 (n,) from (n, choices).
 
-        One of probability 0 is never drawn. The winner is the first of exponential clocks to ring.
+        An index of probability 0 is never drawn. Implemented as the minimum of exponential clocks.
         """
         if self.library is np and len(probabilities) == 1:
             return np.array([sample_index(probabilities[0], self._generator)])
@@ -72,12 +72,12 @@ class Arrays(Stateful):
         return torch.from_numpy(np.concatenate(parts)) if self.library is np else torch.cat(list(parts))
 
     def restore(self, saved: Any) -> Any:
-        """Return an array that a checkpoint holds."""
+        """Return an array from a checkpoint."""
         array = np.array(saved)
         return array if self.library is np else torch.from_numpy(array).to(self.device)
 
 
 def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: int) -> Iterator[torch.Tensor]:
-    """Shuffle the units' numbers anew in each epoch and cut them into minibatches, int64 (at most `size`,) each."""
+    """Shuffle the units in every epoch and split them into minibatches, int64 (at most `size`,) each."""
     for _ in range(epochs):
         yield from torch.from_numpy(rng.permutation(units)).split(size)

@@ -1,12 +1,12 @@
-"""Exploration by random network distillation (Burda et al. 2018), beside counts.
+"""Exploration by random network distillation (Burda et al. 2018), an alternative to counts.
 
-A network learns to predict the outputs of another whose random weights never change. Its error is large at
-observations unlike those it has learned from, so it stands in for counts where no cells can be made, as with pictures.
+A network learns to predict the outputs of another network with fixed random weights. Its error is large at observations
+unlike those it was trained on. It therefore replaces counts for observations that cannot be binned, such as pictures.
 
-As in the paper, observations are whitened by their running mean and deviation and clipped to +-5. The paper gives
-novelty a value of its own that ignores the ends of episodes, for an agent paid for novelty in the same value puts off
-the end to collect more. Here one value holds both rewards, so the bonus is never positive, as with counts: the error is
-divided by its running mean, capped at 1, and 1 is taken off.
+As in the paper, observations are whitened by their running mean and deviation and clipped to +-5. The paper learns a
+separate value of novelty that ignores the ends of episodes, because an agent with one value for both rewards delays the
+end to collect more novelty. Here one value holds both rewards, and the bonus is never positive, as with counts: the
+error is divided by its running mean, capped at 1, and reduced by 1.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from hrl_escape.agents.components.networks import Learner, ObservationEncoder, m
 from hrl_escape.agents.state import Kept
 
 FEATURES = 32
-"""Outputs of the random network."""
+"""Number of outputs of the random network."""
 BATCH = 32
-"""Observations in an update of the predictor, each learned from once."""
+"""Number of observations in an update of the predictor; each is used once."""
 LARGE_BATCH = 256
-"""Most observations in an update, where streams show many at once."""
+"""Most observations in an update, for batches of environments."""
 CLIP = 5.0
 """Bound on whitened observations."""
 
 
 class DistillationBonus(Bonus):
-    """Prediction error of a random network's outputs, and the bonus that it gives.
+    """Prediction error of a random network's outputs, and the bonus computed from it.
 
     Args:
-        seed: of the agent; the weights follow from it and from nothing else.
+        seed: seed of the agent, which alone determines the weights.
         weight: largest cost of a familiar observation, in units of return.
-        settings: of the agent's networks; the predictor learns at their learning rate.
+        settings: settings of the agent's networks; the predictor uses their learning rate.
     """
 
     STATE = ("_learner", "_visits", "_errors", "_mean", "_squares", Kept("_kept_batch", "batch"))
@@ -57,7 +57,7 @@ class DistillationBonus(Bonus):
         self._batch: list[NDArray] = []
 
     def visit(self, observation: Any) -> float:
-        """Learn from an observation; returns the bonus that it gives before, 0 or below, in units of return."""
+        """Learn from an observation; return its bonus before learning, at most 0, in units of return."""
         whitened = self._whiten(self._encoder.encode(observation))
         error = float(((self._predictor.compute(whitened) - self._random.compute(whitened)) ** 2).mean())
         self._errors += error
@@ -69,9 +69,9 @@ class DistillationBonus(Bonus):
         return self._weight * (min(share, 1.0) - 1.0)
 
     def visit_many(self, observation: NDArray) -> NDArray[np.float32]:
-        """Learn from a batch of observations (n, ...); returns the bonuses that they give before, (n,).
+        """Learn from a batch of observations (n, ...); return their bonuses before learning, (n,).
 
-        The predictor makes one update, on at most `LARGE_BATCH` of them, evenly spaced.
+        The predictor makes one update, on at most `LARGE_BATCH` evenly spaced observations.
         """
         if not len(observation):
             return np.zeros(0, np.float32)
@@ -85,7 +85,7 @@ class DistillationBonus(Bonus):
         return (self._weight * (np.minimum(shares, 1.0) - 1.0)).astype(np.float32)
 
     def _whiten_many(self, encoded: NDArray) -> NDArray:
-        """The same as `_whiten` for a batch, with moments that count all of it (Chan, Golub and LeVeque 1983)."""
+        """The same as `_whiten` for a batch, with moments over all of it (Chan, Golub and LeVeque 1983)."""
         before, self._visits = self._visits, self._visits + len(encoded)
         if self._encoder.is_image:
             return encoded
@@ -101,7 +101,7 @@ class DistillationBonus(Bonus):
         return np.clip((encoded - self._mean) / np.maximum(deviation, 1e-6), -CLIP, CLIP).astype(np.float32)
 
     def _whiten(self, encoded: NDArray) -> NDArray:
-        """Count an encoded observation in the running moments (Welford 1962), then whiten it; pictures stay bytes."""
+        """Add an encoded observation to the running moments (Welford 1962), then whiten it; pictures stay bytes."""
         self._visits += 1
         if self._encoder.is_image:
             return encoded
@@ -112,7 +112,7 @@ class DistillationBonus(Bonus):
 
     @property
     def _kept_batch(self) -> NDArray:
-        """Whitened observations that wait for the predictor's next update, (n, *observation shape)."""
+        """Whitened observations for the predictor's next update, (n, *observation shape)."""
         return np.array(self._batch, self._encoder.dtype).reshape(-1, *self._encoder.shape)
 
     @_kept_batch.setter
@@ -121,10 +121,10 @@ class DistillationBonus(Bonus):
 
 
 def make_bonus(space: gymnasium.Space, seed: int, settings: Any, agent: str) -> Bonus:
-    """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
+    """Make the bonus of an agent's settings; with a weight of 0 it is always 0.
 
     Raises:
-        UnsupportedSpaceError: observations that the bonus cannot use.
+        UnsupportedSpaceError: the bonus does not support the observations.
     """
     if settings.bonus_weight and settings.bonus == "distillation":
         return DistillationBonus(space, seed, settings.bonus_weight, settings, agent)

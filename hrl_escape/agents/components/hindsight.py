@@ -1,9 +1,9 @@
-"""Hindsight experience replay (Andrychowicz et al. 2017): an episode as if other goals had been asked for.
+"""Hindsight experience replay (Andrychowicz et al. 2017): replay an episode as if other goals had been requested.
 
-At the end of an episode each of its decisions goes into replay again, with goals that were achieved at it or later, the
-strategy `future`. Reward and termination are computed anew from the achieved goal and the new one, before decisions are
-joined into backups, so that a backup of n decisions ends where the new goal is achieved. A goal drawn for a decision
-before which it was achieved already is left out: an episode that asked for it would have ended there.
+At the end of an episode each of its decisions is stored again, with goals that were achieved at it or later (the
+strategy `future`). Reward and termination are computed again from the achieved goal and the new one, before decisions
+are joined into backups. A backup of n decisions therefore ends where the new goal is achieved. A goal that was already
+achieved before a decision is skipped, because an episode with this goal would have ended earlier.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from hrl_escape.errors import AgentSettingsError, StepContractError
 
 
 class _Judgement(NamedTuple):
-    """Reward of a decision after which one goal was achieved and another one desired, and whether that ends it."""
+    """Reward of a decision for an achieved and a desired goal, and whether that ends the episode."""
 
     reward: float
     terminated: bool
 
 
 class _Decision(NamedTuple):
-    """A decision of the episode, without its observations, which are in the experience."""
+    """A decision of the episode. Its observations are in the experience."""
 
     transition: SMDPTransition  # the rest of it
-    experience: Experience  # its backup
+    experience: Experience  # backup of the decision
     before: NDArray  # goal achieved before it
     achieved: NDArray  # goal achieved after it
-    desired: NDArray  # goal asked for
-    bonus: float  # in its reward
+    desired: NDArray  # requested goal
+    bonus: float  # bonus in its reward
 
 
 class Hindsight(Stateful):
-    """No decision is stored again."""
+    """Hindsight without goals: nothing is stored again."""
 
     STATE: ClassVar[tuple[Any, ...]] = ()
 
     def push(self, batch: Decisions, experience: Experience, bonus: Any) -> list[Experience]:
-        """Take in decisions; returns no backups."""
+        """Return no backups."""
         return []
 
 
 class HindsightReplay(Hindsight):
-    """The episode so far, and its backups under goals that it achieved, of which some are drawn for each decision.
+    """The current episode, and its backups under goals that it achieved; some goals are drawn for each decision.
 
     Raises:
         AgentSettingsError: the environment has no goals.
@@ -70,19 +70,19 @@ class HindsightReplay(Hindsight):
                  encoder: ObservationEncoder, settings: Any, rng: np.random.Generator) -> None:
         if rule is None or not is_goal_space(space):
             raise AgentSettingsError(
-                "hindsight_goals", goals, "0 here, for the environment has no goals. One that has shows a Dict of "
-                "observation, achieved_goal and desired_goal, and has the methods compute_reward and "
-                "compute_terminated, as those of Gymnasium-Robotics and hrl_escape.sets.GoalsEnv")
+                "hindsight_goals", goals, "0, because the environment has no goals. Goals require a Dict of "
+                "observation, achieved_goal and desired_goal, and the methods compute_reward and "
+                "compute_terminated, as in Gymnasium-Robotics and hrl_escape.sets.GoalsEnv")
         self._rule, self._goals, self._n_step = rule, goals, n_step
         self._encoder, self._settings, self._rng = encoder, settings, rng
         self._episode: list[_Decision] = []
-        self._known: dict[tuple[bytes, bytes], _Judgement] = {}  # of this episode's pairs of goals
+        self._known: dict[tuple[bytes, bytes], _Judgement] = {}  # by pair of goals, for this episode
 
     def push(self, batch: Decisions, experience: Experience, bonus: Any) -> list[Experience]:
-        """Take in one decision, its backup and the bonus in it; returns backups under new goals at the episode's end.
+        """Store a decision, its backup and its bonus; at the end of the episode return backups under new goals.
 
         Raises:
-            StepContractError: the decision ran several primitives, so that nobody knows what was achieved inside.
+            StepContractError: the decision ran several primitives, and goals achieved inside it are unknown.
         """
         shared = [name for name in SMDPTransition._fields if name in Decisions._fields and name != "trace"]
         row: dict[str, Any] = {name: getattr(batch, name)[0] for name in shared}
@@ -91,7 +91,7 @@ class HindsightReplay(Hindsight):
         experience, bonus = Experience(*(field[0] for field in experience)), float(np.ravel(bonus)[0])
         if transition.duration != 1:
             raise StepContractError(f"action {transition.action} ran {transition.duration} primitives; hindsight_goals "
-                                    "are for decisions of one primitive: leave options out, or set them to 0")
+                                    "need decisions of one primitive. Use primitives only, or set hindsight_goals to 0")
         before, after = transition.observation, transition.next_observation
         bare = transition._replace(observation=None, next_observation=None, trace=())
         self._episode.append(_Decision(bare, experience, np.array(before["achieved_goal"]),
@@ -104,7 +104,7 @@ class HindsightReplay(Hindsight):
         return [make_batch(each) for each in relabelled]
 
     def _relabel(self) -> Iterator[Experience]:
-        """Each decision with goals achieved at it or later in the episode."""
+        """Backups of each decision with goals achieved at it or later in the episode."""
         for start, decision in enumerate(self._episode):
             for chosen in self._rng.integers(start, len(self._episode), size=self._goals):
                 goal = self._episode[chosen].achieved
@@ -112,7 +112,7 @@ class HindsightReplay(Hindsight):
                     yield self._join(start, goal)
 
     def _join(self, start: int, goal: NDArray) -> Experience:
-        """The backup of n decisions under another goal; of fewer where it is achieved, or the episode ends."""
+        """The backup of n decisions under another goal; shorter if the goal is achieved or the episode ends."""
         reward, bootstrap, last = 0.0, 1.0, start
         for last in range(start, min(start + self._n_step, len(self._episode))):
             own_reward, own_bootstrap = self._back_up(self._episode[last], goal)
@@ -130,7 +130,7 @@ class HindsightReplay(Hindsight):
         )
 
     def _back_up(self, decision: _Decision, goal: NDArray) -> tuple[float, float]:
-        """R and b of a decision under another goal. What ended the episode for a reason of its own still ends it."""
+        """R and b of a decision under another goal. Ends of the episode for other reasons stay ends."""
         reward, terminated = self._judge(decision.achieved, goal)
         if decision.transition.terminated and not terminated:
             terminated = not self._judge(decision.achieved, decision.desired).terminated
@@ -139,7 +139,7 @@ class HindsightReplay(Hindsight):
         return reward + decision.bonus, bootstrap
 
     def _judge(self, achieved: NDArray, goal: NDArray) -> _Judgement:
-        """Reward and end by the environment's rule, which is asked once in an episode for a pair of goals."""
+        """Reward and end by the environment's rule, called once per episode and pair of goals."""
         pair = achieved.tobytes(), goal.tobytes()
         if pair not in self._known:
             self._known[pair] = _Judgement(float(self._rule.compute_reward(achieved, goal, {})),

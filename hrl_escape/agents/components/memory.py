@@ -1,9 +1,9 @@
-"""Recurrent memory: what a network is told of the episode so far, beside the present observation.
+"""Recurrent memory: a summary of the episode so far as input of a network, in addition to the current observation.
 
-A gated recurrent unit (Cho et al. 2014) turns the encoded observation and the state before it into the next state, zero
-before an episode's first decision. Over rows of objects every row has a unit with the same weights and a state of its
-own, so that what is remembered permutes with the objects. Gradients go back through stretches of at most `memory_span`
-decisions, which begin in the state that was there when they were lived.
+A gated recurrent unit (Cho et al. 2014) maps the encoded observation and the previous state to the next state, which is
+zero before an episode's first decision. Over rows of objects, every row has a unit with the same weights and its own
+state, which makes the memory equivariant under permutation of objects. Gradients flow through stretches of at most
+`memory_span` decisions, which begin in the stored state.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hrl_escape.spaces import ObjectsBox
 
 
 class GatedCell(nn.Module):
-    """Gated recurrent unit from observations and states, one after the other in a row, to states."""
+    """Gated recurrent unit from concatenated observations and states to states."""
 
     def __init__(self, numbers: int, rows: int, words: int, units: int, generator: torch.Generator) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class GatedCell(nn.Module):
         self.cell = cell
 
     def forward(self, given: Tensor) -> Tensor:
-        """States, (n, rows x units), from (n, numbers + rows x units)."""
+        """Return states (n, rows x units) from (n, numbers + rows x units)."""
         observation, state = given[:, : self._numbers], given[:, self._numbers :]
         own = observation[:, : self._rows * self._words].unflatten(1, (self._rows, self._words))
         context = observation[:, None, self._rows * self._words :].expand(-1, self._rows, -1)
@@ -51,9 +51,9 @@ class GatedMemory(Memory):
     """A gated recurrent unit over encoded observations.
 
     Args:
-        network: of one `GatedCell`.
-        size: numbers in a state.
-        span: most decisions through which a gradient goes back.
+        network: network of one `GatedCell`.
+        size: size of a state.
+        span: most decisions that a gradient flows through.
     """
 
     def __init__(self, network: Network, size: int, span: int) -> None:
@@ -66,7 +66,7 @@ class GatedMemory(Memory):
         return {"memory": self.network}
 
     def read(self, observation: Tensor, state: Tensor) -> Tensor:
-        """Remember observations; the new states come behind them, (n, numbers + size)."""
+        """Update states with observations; return observations and new states, (n, numbers + size)."""
         return torch.cat([observation, self.network(torch.cat([observation, state], dim=1))], dim=1)
 
     def evaluate(self, observation: Any, state: Any) -> Any:
@@ -80,18 +80,18 @@ class GatedMemory(Memory):
             return seen
 
     def get_state(self, read: Any) -> Any:
-        """The states in the result of `read`, (n, size)."""
+        """Return the states in the result of `read`, (n, size)."""
         return read[:, -self.size :]
 
     def recall(self, encoded: NDArray) -> NDArray:
-        """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""
+        """Return inputs of the networks at one encoded observation: of the latest choice there, else a new episode."""
         if self._latest is not None and np.array_equal(self._latest[: len(encoded)], encoded):
             return self._latest
         return self.evaluate(encoded[None], np.zeros((1, self.size), np.float32))[0]
 
     def draw_batches(self, rollout: Any, size: int, rng: np.random.Generator, epochs: int
                      ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Shuffle stretches of a rollout in every epoch; gradients of the inputs go back through a stretch."""
+        """Shuffle stretches of a rollout in every epoch; gradients of the inputs flow through a stretch."""
         stretches = cut_stretches(rollout.stream, rollout.place, self._span)
         total, units = len(rollout.place), stretches.grid.shape[1]
         for columns in draw_minibatches(rng, units, max(1, size * units // total), epochs):
@@ -99,10 +99,10 @@ class GatedMemory(Memory):
             yield part.rows, self.read_stretches(rollout.observation, rollout.memory, rollout.over, part)
 
     def read_stretches(self, observation: Tensor, state: Tensor, over: Tensor, stretches: Stretches) -> Tensor:
-        """Live through k decisions in stretches again; returns `read` of them, in the order of `stretches.rows`.
+        """Run the memory over k decisions in stretches; return `read` in the order of `stretches.rows`.
 
-        Observations (n, numbers), the states (n, size) before them, when they were lived, of which the first of a
-        stretch is taken, and `over`, bool (n,), where an episode ended, are those of all decisions.
+        `observation` (n, numbers), `state` (n, size) before each decision, and `over`, bool (n,), whether an episode
+        ended, refer to all decisions. Each stretch begins with the stored state of its first decision.
         """
         places, _ = stretches.grid.shape
         now = state[stretches.grid[0]]
@@ -119,8 +119,8 @@ class Recollections(Stateful):
     """States of a memory in the running episodes, by environment.
 
     Attributes:
-        now: (environments, size), the present states; 0 before an episode's first decision.
-        before: those before the latest decision.
+        now: current states, (environments, size); 0 before an episode's first decision.
+        before: states before the latest decision.
     """
 
     STATE = ("now", "before")
@@ -130,40 +130,40 @@ class Recollections(Stateful):
         self.now, self.before = (arrays.zeros((num_envs, memory.size)) for _ in range(2))
 
     def see(self, env: Any, observation: Any) -> Any:
-        """Remember encoded observations of some environments; returns the networks' inputs."""
+        """Update the states of some environments with encoded observations; return the networks' inputs."""
         before = self.now[env]
         seen = self._memory.evaluate(observation, before)
         self.before[env], self.now[env] = before, self._memory.get_state(seen)
         return seen
 
     def end(self, env: Any, over: Any) -> Any:
-        """States before decisions that ended, (n, size); where the episode is `over`, bool (n,), it is forgotten."""
+        """Return states before decisions that ended, (n, size); reset states of episodes that are `over`, bool (n,)."""
         self.now[env[over]] = 0.0
         return self.before[env]
 
     def begin_episodes(self) -> None:
-        """Forget all episodes."""
+        """Reset the states of all episodes."""
         self.now[:] = 0.0
 
 
 class Stretches(NamedTuple):
-    """Stretches of decisions that follow each other in one stream, side by side."""
+    """Stretches of consecutive decisions of one environment each, as columns of a grid."""
 
-    grid: Tensor  # int64 (places, stretches), rows of the rollout; arbitrary ones where a stretch is shorter
-    is_real: Tensor  # bool, the same shape
+    grid: Tensor  # int64 (places, stretches), rows of the rollout; arbitrary beyond the end of a stretch
+    is_real: Tensor  # bool, the same shape: whether the entry belongs to the stretch
 
     @property
     def rows(self) -> Tensor:
-        """Rows in the grid that are real, place by place, int64 (k,)."""
+        """Valid rows in the grid, place by place, int64 (k,)."""
         return self.grid[self.is_real]
 
     def pick(self, columns: Tensor) -> Stretches:
-        """Some of the stretches."""
+        """Return some of the stretches."""
         return Stretches(self.grid[:, columns], self.is_real[:, columns])
 
 
 def cut_stretches(stream: Tensor, place: Tensor, span: int) -> Stretches:
-    """Cut decisions of streams, int64 (n,), at places without gaps, int64 (n,), into stretches of at most `span`."""
+    """Cut decisions of streams, int64 (n,), at consecutive places, int64 (n,), into stretches of at most `span`."""
     pieces = int(place.max()) // span + 1
     key = stream * pieces + place // span
     names, column = torch.unique(key, return_inverse=True)
@@ -180,20 +180,20 @@ def make_memory(encoder: ObservationEncoder, kind: str, units: int, span: int, b
     """Make a memory.
 
     Args:
-        encoder: of the observations.
+        encoder: encoder of the observations.
         kind: `none` or `gru`.
         units: size of the state.
-        span: most decisions through which a gradient goes back.
-        by_objects: each row of objects has a state of its own.
-        generator: of the weights.
+        span: most decisions that a gradient flows through.
+        by_objects: whether each row of objects has a state of its own.
+        generator: generator of the weights.
 
     Raises:
-        UnsupportedSpaceError: a memory of pictures.
+        UnsupportedSpaceError: the observations are pictures.
     """
     if kind == "none":
         return Memory()
     if encoder.is_image:
-        raise UnsupportedSpaceError("memory=gru remembers vectors, not pictures: make the environment with another "
+        raise UnsupportedSpaceError("memory=gru supports vectors, not pictures. Make the environment with another "
                                     "observation")
     numbers = encoder.shape[0]
     rows, words = 1, numbers

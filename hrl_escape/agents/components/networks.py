@@ -1,16 +1,16 @@
 """Networks of the deep agents: encoding of observations, layers, acting on them and gradient descent.
 
-Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images, deep sets over rows of objects, or a
-module of the user's own. Weights are drawn from a generator of their own and lie in one vector, so that Adam, clipping
-and target networks are single operations. Acting on one observation goes through numpy views of the same weights, four
-to five times faster on a CPU than torch. Learning is plain torch because that measured fastest (`python -m
-benchmarks.agents`, beside TorchRL and Stable-Baselines3).
+Networks are multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images, deep sets over rows of
+objects, or a module of the user's own. Weights come from a separate generator and are stored in one vector, which makes
+Adam, clipping and target networks single operations. Acting on one observation uses numpy views of the same weights,
+four to five times faster on a CPU than torch. Learning uses plain torch, which was the fastest in measurements (`python
+-m benchmarks.agents` compares it with TorchRL and Stable-Baselines3).
 
-Deep sets (Zaheer et al. 2017, equation 4) are equivariant under permutation of the objects, and indifferent to their
-number: every layer gives each object the same function of its own row and of the mean and the maximum over all objects.
-An action that is about an object is valued from that object's row; all other actions, and states, from the pooled rows.
-So what is learned about one button holds for any other button, under any number, where a perceptron over the same
-numbers would have to learn it for each.
+Deep sets (Zaheer et al. 2017, equation 4) are equivariant under permutation of the objects and accept any number of
+them. Every layer applies the same function to each object's row together with the mean and the maximum over all
+objects. The value of an action that refers to an object comes from that object's row; values of other actions, and of
+states, come from the pooled rows. What is learned about one button therefore transfers to every other button, while a
+perceptron over the same numbers has to learn it for each.
 """
 
 from __future__ import annotations
@@ -37,34 +37,34 @@ from hrl_escape.errors import AgentSettingsError, DivergenceError, UnsupportedSp
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
 BLOCK_ROWS = 4096
-"""Rows that pass through a perceptron together: two layers of 64 units take 2 MiB, as much as a core's own cache."""
+"""Rows that pass through a perceptron together: two layers of 64 units take 2 MiB, the size of a core's cache."""
 MOST_KNOWN = 1_000
-"""Most outputs of a network that are remembered."""
+"""Most cached outputs of a network."""
 WILD_LOSS = 1e6
-"""Loss beyond which values have diverged: in scaled rewards, where losses are a few hundred at most."""
+"""Loss above which values have diverged; in scaled rewards, losses are a few hundred at most."""
 WILD_GROWTH, GROWTH_EVERY = 100.0, 50
-"""Growth of the weights' norm beyond which steps are too long, and updates between two looks at it."""
+"""Growth of the weights' norm above which steps are too large, and number of updates between two checks."""
 
 
 class ObservationEncoder:
-    """Turns observations of a space into network inputs.
+    """Converts observations of a space to network inputs.
 
-    Images (uint8, three axes with 1, 3 or 4 channels last) stay uint8 and become channels first; every other space
-    becomes a float32 vector, by `gymnasium.spaces.flatten` (one-hot for discrete parts) where it is not a Box. An
-    observation with goals becomes the vector of the observation, then that of the desired goal. Parts of a `Dict` that
-    have no vector form, such as MiniGrid's mission, are left out with a warning that names them.
+    Images (uint8, three axes with 1, 3 or 4 channels last) stay uint8 and become channels first. Every other space
+    becomes a float32 vector, by `gymnasium.spaces.flatten` (one-hot for discrete parts) if it is not a Box. An
+    observation with goals becomes the vector of the observation, then the vector of the desired goal. Parts of a `Dict`
+    without a vector form, such as MiniGrid's mission, are omitted with a warning that names them.
 
     Args:
-        space: space of the observations.
-        scale: map components of a Box with finite bounds to [-1, 1].
+        space: observation space.
+        scale: whether to map components of a Box with finite bounds to [-1, 1].
 
     Attributes:
-        space: the space of the parts that are encoded.
+        space: space of the encoded parts.
         shape: shape of an encoded observation.
-        dtype: uint8 for images, else float32.
+        dtype: uint8 for images, otherwise float32.
 
     Raises:
-        UnsupportedSpaceError: no part of the space has a vector form, or pictures come with goals.
+        UnsupportedSpaceError: no part of the space has a vector form, or pictures have goals.
     """
 
     def __init__(self, space: gymnasium.Space, scale: bool) -> None:
@@ -75,7 +75,7 @@ class ObservationEncoder:
         if is_goal_space(space):
             self._parts = {name: ObservationEncoder(space[name], scale) for name in ("observation", "desired_goal")}
             if any(part.is_image for part in self._parts.values()):
-                raise UnsupportedSpaceError("pictures with goals cannot be used: observations with goals must be "
+                raise UnsupportedSpaceError("pictures with goals are not supported: observations with goals must be "
                                             "vectors")
             self.shape, self.dtype = (sum(part.shape[0] for part in self._parts.values()),), np.dtype(np.float32)
             return
@@ -94,7 +94,7 @@ class ObservationEncoder:
         self._is_identity = not middle.any() and bool((half == 1).all())
 
     def encode(self, observation: Any) -> NDArray:
-        """Encode one observation; the result owns its memory."""
+        """Encode one observation into a new array."""
         if self.is_image:
             return np.moveaxis(np.asarray(observation), -1, 0).copy()
         if self._parts:
@@ -109,7 +109,7 @@ class ObservationEncoder:
         return flat
 
     def replace_goal(self, encoded: NDArray, goal: Any) -> NDArray:
-        """An encoded observation with another desired goal, a copy."""
+        """Return a copy of an encoded observation with another desired goal."""
         vector = self._parts["desired_goal"].encode(goal)
         return np.concatenate([encoded[: -len(vector)], vector])
 
@@ -132,7 +132,7 @@ class ObservationEncoder:
         if isinstance(self.space, spaces.Discrete):
             return functional.one_hot(observation.long() - int(self.space.start), int(self.space.n)).float()
         if not self._is_box:
-            raise UnsupportedSpaceError(f"streams show Box or Discrete observations, not {self.space}")
+            raise UnsupportedSpaceError(f"tensors must be Box or Discrete observations, got {self.space}")
         flat = observation.to(torch.float32).flatten(1)
         if self._is_identity:
             return flat
@@ -141,9 +141,9 @@ class ObservationEncoder:
 
 
 def keep_vector_parts(space: gymnasium.Space) -> gymnasium.Space:
-    """Return the space without the parts of a Dict that `gymnasium.spaces.flatten` cannot make a vector of.
+    """Return the space without the parts of a Dict that `gymnasium.spaces.flatten` cannot convert to a vector.
 
-    Warns which parts are left out.
+    Warns about the omitted parts.
 
     Raises:
         UnsupportedSpaceError: no part of the space has a vector form.
@@ -153,13 +153,13 @@ def keep_vector_parts(space: gymnasium.Space) -> gymnasium.Space:
     listed = ", ".join(f"{name!r} ({type(part).__name__})" if name else str(part) for name, part in left_out.items())
     if kept is None:
         raise UnsupportedSpaceError(
-            f"networks need observations that gymnasium.spaces.flatten turns into a vector, which it cannot for "
+            f"networks need observations that gymnasium.spaces.flatten converts to a vector, which it cannot for "
             f"{listed}. Encode it as a Box or a Discrete below, such as by gymnasium.wrappers.TransformObservation")
     if left_out:
         warnings.warn(
-            f"the agent does not see these parts of the observation, which have no vector form: {listed}. If the task "
-            "depends on them, encode them as a Box or a Discrete by gymnasium.wrappers.TransformObservation. If not, "
-            "remove them by gymnasium.wrappers.FilterObservation", stacklevel=2)
+            f"the agent ignores these parts of the observation, which have no vector form: {listed}. If the task "
+            "depends on them, encode them as a Box or a Discrete with gymnasium.wrappers.TransformObservation. If not, "
+            "remove them with gymnasium.wrappers.FilterObservation", stacklevel=2)
     return kept
 
 
@@ -182,12 +182,12 @@ def _keep_vector_parts(space: gymnasium.Space, name: str, left_out: dict[str, gy
 
 
 def is_goal_space(space: gymnasium.Space) -> TypeGuard[spaces.Dict]:
-    """True for observations with goals: a Dict of `observation`, `achieved_goal` and `desired_goal`."""
+    """Return whether observations have goals: a Dict of `observation`, `achieved_goal` and `desired_goal`."""
     return isinstance(space, spaces.Dict) and set(space) == {"observation", "achieved_goal", "desired_goal"}
 
 
 def is_image_space(space: gymnasium.Space) -> bool:
-    """True for pictures: a uint8 Box (height, width, 1, 3 or 4)."""
+    """Return whether observations are pictures: a uint8 Box (height, width, 1, 3 or 4)."""
     shape = space.shape or ()
     return isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(shape) == 3 and shape[2] in (1, 3, 4)
 
@@ -195,8 +195,8 @@ def is_image_space(space: gymnasium.Space) -> bool:
 class NoisyLinear(nn.Module):
     """A linear layer with factorised Gaussian noise in its weights (Fortunato et al. 2018, equations 10 and 11).
 
-    y = (mu + sigma * f(e_out) f(e_in)') x + (mu_b + sigma_b * f(e_out)), f(e) = sign(e) sqrt|e|. Without noise drawn
-    it is the linear layer of its means. Every sigma begins at noise / sqrt(inputs).
+    y = (mu + sigma * f(e_out) f(e_in)') x + (mu_b + sigma_b * f(e_out)), f(e) = sign(e) sqrt|e|. Without drawn noise it
+    is the linear layer of its means. Every sigma begins at noise / sqrt(inputs).
     """
 
     _ins: torch.Tensor
@@ -212,13 +212,13 @@ class NoisyLinear(nn.Module):
         self.register_buffer("_outs", torch.zeros(linear.out_features), persistent=False)
 
     def draw(self, generator: torch.Generator | None) -> None:
-        """Draw the noise anew; None takes it away."""
+        """Draw new noise, or remove it if `generator` is None."""
         for part in (self._ins, self._outs):
             drawn = torch.zeros(len(part)) if generator is None else torch.randn(len(part), generator=generator)
             part.copy_(drawn.sign() * drawn.abs().sqrt())
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
-        """(n, outputs) from (n, inputs), under one noise for all rows."""
+        """Return (n, outputs) from (n, inputs), with the same noise for all rows."""
         weight = self.mean.weight + self.weight_scale * torch.outer(self._outs, self._ins)
         return functional.linear(input, weight, self.mean.bias + self.bias_scale * self._outs)
 
@@ -227,9 +227,9 @@ class Network(nn.Sequential):
     """Layers whose parameters, and their gradients, are views of one vector each.
 
     Attributes:
-        weights: float32 (parameters,), all parameters.
-        gradient: float32 (parameters,), where `backward` accumulates.
-        sizes: elements of each parameter, in order.
+        weights: all parameters, float32 (parameters,).
+        gradient: accumulated gradients of `backward`, float32 (parameters,).
+        sizes: number of elements of each parameter, in order.
     """
 
     def __init__(self, *layers: nn.Module) -> None:
@@ -245,7 +245,7 @@ class Network(nn.Sequential):
         self._tie(parameters)
 
     def _tie(self, parameters: list[nn.Parameter]) -> None:
-        self._compute: Callable[[NDArray], NDArray] | None = None  # made at the first need
+        self._compute: Callable[[NDArray], NDArray] | None = None  # made at first use
         pieces = zip(parameters, self.weights.split(self.sizes), self.gradient.split(self.sizes), strict=True)
         for parameter, weights, gradient in pieces:
             parameter.data = weights.view(parameter.shape)
@@ -253,32 +253,32 @@ class Network(nn.Sequential):
 
     def move(self, device: torch.device) -> None:
         """Move parameters and gradients to a device."""
-        self.to(device)  # buffers too
+        self.to(device)  # moves buffers too
         parameters = list(self.parameters())
         self.weights, self.gradient = self.weights.to(device), self.gradient.to(device)
         self._tie(parameters)
 
     def __getstate__(self) -> dict[str, Any]:
-        """State of a copy, which computes by its own weights."""
+        """Return the state of a copy, which computes with its own weights."""
         return self.__dict__ | {"_compute": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take it; parameters are views of the vectors again, as pickling does not keep them so."""
+        """Restore the state and re-tie parameters to the flat vectors, which pickle does not preserve."""
         super().__setstate__(state)
         self._tie(list(self.parameters()))
 
     def compute(self, observation: NDArray) -> NDArray:
-        """Outputs for one encoded observation, (outputs,), without gradients.
+        """Return outputs for one encoded observation, (outputs,), without gradients.
 
-        Perceptrons on a CPU run in numpy on views of the network's own weights; deep sets there remember their outputs
-        while the weights stay.
+        Perceptrons on a CPU run in numpy on views of the network's weights. Deep sets on a CPU cache their outputs
+        until the weights change.
         """
         if self._compute is None:
             self._compute = _make_forward(self)
         return self._compute(observation)
 
     def evaluate(self, observation: Any) -> Any:
-        """Outputs for encoded observations, (n, outputs) from (n, ...), without gradients; arrays give arrays."""
+        """Return outputs for encoded observations, (n, outputs) from (n, ...), without gradients, in their library."""
         if isinstance(observation, np.ndarray):
             if len(observation) == 1:
                 return self.compute(observation[0])[None]
@@ -287,20 +287,20 @@ class Network(nn.Sequential):
             return self(observation)
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
-        """Outputs, (n, outputs) from (n, inputs); those of many rows through a perceptron block by block."""
+        """Return outputs, (n, outputs) from (n, inputs); perceptrons process many rows in blocks."""
         if len(input) <= BLOCK_ROWS or input.device.type != "cpu" or not self._is_perceptron:
             return super().forward(input)
         return _Blocks.apply(input, self._is_tanh, torch.is_grad_enabled(), *self.parameters())
 
     def blend(self, source: Network, rate: float) -> None:
-        """Move a target network: weights <- (1 - rate) weights + rate source (Lillicrap et al. 2016)."""
+        """Update a target network: weights <- (1 - rate) weights + rate source (Lillicrap et al. 2016)."""
         self.weights.lerp_(source.weights, rate)
 
 
 class _Blocks(torch.autograd.Function):
-    """A perceptron over many rows, `BLOCK_ROWS` of them at a time through all layers, which stay in cache meanwhile.
+    """A perceptron over many rows, `BLOCK_ROWS` at a time through all layers, which keeps them in cache.
 
-    Layer by layer, each would stream all rows through main memory: on a CPU that takes twice to three times as long.
+    Layer by layer, all rows would go through main memory, which takes two to three times as long on a CPU.
     """
 
     @staticmethod
@@ -350,7 +350,7 @@ class _Blocks(torch.autograd.Function):
 
 
 def make_generator(rng: np.random.Generator) -> torch.Generator:
-    """A torch generator of its own, seeded from a numpy one."""
+    """Make a torch generator seeded from a numpy one."""
     generator = torch.Generator()
     generator.manual_seed(int(rng.integers(2**63)))
     return generator
@@ -358,13 +358,13 @@ def make_generator(rng: np.random.Generator) -> torch.Generator:
 
 def make_network(encoder: ObservationEncoder, outputs: int, settings: Any, generator: torch.Generator,
                  extra_inputs: int = 0, output_gain: float = 1.0) -> Network:
-    """A perceptron (convolutions first for images) from encoded observations to `outputs` numbers.
+    """Make a perceptron (after convolutions for images) from encoded observations to `outputs` numbers.
 
-    `extra_inputs` come after a vector observation, such as a relaxed action; `output_gain` is a factor on the last
-    layer's initial weights.
+    `extra_inputs` follow a vector observation, such as a relaxed action. `output_gain` is a factor on the last layer's
+    initial weights.
 
     Raises:
-        UnsupportedSpaceError: images smaller than 36 x 36, or images with extra inputs.
+        UnsupportedSpaceError: images are smaller than 36 x 36, or there are images and extra inputs.
     """
     activation = nn.Tanh if settings.initialisation == "orthogonal" else nn.ReLU
     gain = nn.init.calculate_gain("tanh" if activation is nn.Tanh else "relu")
@@ -380,8 +380,8 @@ def make_network(encoder: ObservationEncoder, outputs: int, settings: Any, gener
 
 def make_linear(inputs: int, outputs: int, initialisation: str, generator: torch.Generator, gain: float = 1.0,
                 scale: float = 1.0) -> Any:
-    """A linear layer with initial weights as `initialise_layer` draws them, times a scale."""
-    linear: Any = nn.utils.skip_init(nn.Linear, inputs, outputs)  # the constructor would draw from global state
+    """Make a linear layer with initial weights of `initialise_layer`, times a scale."""
+    linear: Any = nn.utils.skip_init(nn.Linear, inputs, outputs)  # the constructor would draw from the global state
     initialise_layer(linear, initialisation, gain, generator)
     with torch.no_grad():
         linear.weight.mul_(scale)
@@ -389,7 +389,7 @@ def make_linear(inputs: int, outputs: int, initialisation: str, generator: torch
 
 
 class _Unit(nn.Module):
-    """Bytes to [0, 1]."""
+    """Scales bytes to [0, 1]."""
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         return image.float() / 255
@@ -397,13 +397,13 @@ class _Unit(nn.Module):
 
 def _make_convolutions(shape: tuple[int, ...], initialisation: str, generator: torch.Generator, extra_inputs: int
                        ) -> tuple[list[nn.Module], int]:
-    """The convolutional layers of Mnih et al. (2015), and how many units come out."""
+    """The convolutional layers of Mnih et al. (2015), and their number of output units."""
     channels, height, width = shape
     if min(height, width) < 36 or extra_inputs:
         raise UnsupportedSpaceError(
-            f"pictures of {height} x {width} cannot be used here: convolutions need at least 36 x 36, and an agent "
+            f"pictures of {height} x {width} are not supported: convolutions need at least 36 x 36, and an agent "
             "that feeds actions into its network (ddpg) needs vectors. Wrap the environment in "
-            "gymnasium.wrappers.FlattenObservation, or resize its pictures by ResizeObservation"
+            "gymnasium.wrappers.FlattenObservation, or resize its pictures with ResizeObservation"
         )
     layers: list[nn.Module] = [_Unit()]
     gain = nn.init.calculate_gain("relu")
@@ -415,7 +415,7 @@ def _make_convolutions(shape: tuple[int, ...], initialisation: str, generator: t
 
 
 def initialise_layer(layer: Any, initialisation: str, gain: float, generator: torch.Generator) -> Any:
-    """Draw a layer's initial weights, see `initialisation` of `DQNSettings`; returns the layer."""
+    """Draw a layer's initial weights, as `initialisation` of `DQNSettings` describes; return the layer."""
     if initialisation == "glorot":
         nn.init.xavier_uniform_(layer.weight, generator=generator)
     elif initialisation == "orthogonal":
@@ -430,11 +430,11 @@ def initialise_layer(layer: Any, initialisation: str, gain: float, generator: to
 
 
 class ObjectLayers(nn.Module):
-    """Deep-sets layers from observations in rows to one number an action, or to one number.
+    """Deep-sets layers from observations in rows to one number per action, or to one number.
 
     Args:
-        about: for each action the name of its object, or None; no actions for the value of a state.
-        memory: numbers after the observation that belong to the rows, as many to each.
+        about: name of each action's object, or None; empty for the value of a state.
+        memory: count of numbers after the observation that belong to the rows, equally many for each.
     """
 
     _columns: torch.Tensor
@@ -463,7 +463,7 @@ class ObjectLayers(nn.Module):
         self.whole = make(2 * widths[-1], free, 1.0, output_gain) if free else None
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Numbers of all actions, (batch, actions), or of the state, (batch, 1)."""
+        """Return numbers of all actions, (batch, actions), or of the state, (batch, 1)."""
         count, width = self._shape
         rows = observation[:, : count * width].unflatten(1, self._shape)  # (batch, rows, words)
         rest = observation[:, count * width :]
@@ -482,16 +482,16 @@ class ObjectLayers(nn.Module):
 
 
 def _pool(hidden: torch.Tensor, present: torch.Tensor) -> torch.Tensor:
-    """Mean and maximum over the objects that are present: (batch, rows, units) -> (batch, 2 units)."""
+    """Mean and maximum over the present objects: (batch, rows, units) -> (batch, 2 units)."""
     mean = (hidden * present).sum(dim=1) / present.sum(dim=1).clamp(min=1)
-    most = hidden.masked_fill(~present, -1e9).amax(dim=1)  # no activation is that low
+    most = hidden.masked_fill(~present, -1e9).amax(dim=1)  # below any activation
     return torch.cat([mean, most * present.any(dim=1)], dim=1)
 
 
 def _lay_out(rows: tuple[str, ...], about: tuple[str | None, ...]) -> tuple[list[int], int, int]:
-    """Column of each action among (rows x heads, free) numbers; number of heads; number of free ones.
+    """Column of each action among (rows x heads, free) numbers, number of heads, and number of free ones.
 
-    The k-th action about an object has head k; an action about nothing, or about what has no row, is free.
+    The k-th action about an object has head k. An action without an object, or with one that has no row, is free.
     """
     if not about:
         return [0], 0, 1
@@ -509,10 +509,10 @@ def _lay_out(rows: tuple[str, ...], about: tuple[str | None, ...]) -> tuple[list
 
 def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                         generator: torch.Generator, output_gain: float = 1.0, memory: int = 0) -> Network:
-    """Network of one number an action, as `settings.network` says; a `PointingDiscrete` says what actions are about.
+    """Make the network of one number per action, of type `settings.network`; `PointingDiscrete` assigns the objects.
 
     Raises:
-        UnsupportedSpaceError: `network=objects` with observations that are no rows of objects.
+        UnsupportedSpaceError: `network=objects` with observations that are not rows of objects.
     """
     actions = count_actions(action_space, "network")
     if settings.network == "mlp":
@@ -523,7 +523,7 @@ def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Spa
 
 def make_state_network(encoder: ObservationEncoder, settings: Any, generator: torch.Generator, memory: int = 0
                        ) -> Network:
-    """Network of one number, the value of a state; see `make_action_network`."""
+    """Make the network of one number, the value of a state; see `make_action_network`."""
     if settings.network == "mlp":
         return make_network(encoder, 1, settings, generator, memory)
     return Network(ObjectLayers(_get_rows(encoder), (), settings, generator, 1.0, memory))
@@ -537,10 +537,10 @@ def _get_rows(encoder: ObservationEncoder) -> ObjectsBox:
 
 
 def copy_network(module: nn.Module, encoder: ObservationEncoder, action_space: gymnasium.Space) -> Network:
-    """Copy of a user's own module, from encoded observations (batch, *encoder.shape) to (batch, actions).
+    """Copy a user's module, from encoded observations (batch, *encoder.shape) to (batch, actions).
 
     Raises:
-        AgentSettingsError: the module has no weights, others than float32, or outputs of another shape.
+        AgentSettingsError: the module has no weights, weights other than float32, or outputs of another shape.
     """
     actions = count_actions(action_space, "network")
     weights = list(module.parameters())
@@ -557,10 +557,10 @@ def copy_network(module: nn.Module, encoder: ObservationEncoder, action_space: g
 
 
 def _make_forward(network: Network) -> Callable[[NDArray], NDArray]:
-    """The function behind `Network.compute`, for as long as the weights lie where they are."""
+    """Function behind `Network.compute`, valid while the weights stay at their place in memory."""
     device = network.weights.device
     if device.type != "cpu" or not all(isinstance(layer, (nn.Linear, nn.ReLU, nn.Tanh)) for layer in network):
-        get_network = weakref.ref(network)  # it keeps this function, and is freed without a search for cycles
+        get_network = weakref.ref(network)  # the network owns this function; a weak reference avoids a cycle
 
         def forward_torch(observation: NDArray) -> NDArray:
             own = get_network()
@@ -569,7 +569,7 @@ def _make_forward(network: Network) -> Callable[[NDArray], NDArray]:
                 return own(torch.from_numpy(observation).unsqueeze(0).to(device)).squeeze(0).cpu().numpy()
 
         is_noisy = any(isinstance(layer, NoisyLinear) for layer in network.modules())
-        if device.type != "cpu" or is_noisy or isinstance(network[0], _Unit):  # pictures hardly repeat
+        if device.type != "cpu" or is_noisy or isinstance(network[0], _Unit):  # pictures rarely repeat
             return forward_torch
         return _remember(forward_torch, network.weights.numpy())
 
@@ -594,9 +594,9 @@ def _make_forward(network: Network) -> Callable[[NDArray], NDArray]:
 
 
 def _remember(forward: Callable[[NDArray], NDArray], weights: NDArray) -> Callable[[NDArray], NDArray]:
-    """Function with the same outputs, those of the latest inputs from memory while the weights stay as they are.
+    """Add a cache of outputs of the latest inputs, valid while the weights stay unchanged.
 
-    Agents that get nowhere see the same few observations for hundreds of decisions.
+    Agents without progress see the same few observations for hundreds of decisions.
     """
     known: dict[bytes, NDArray] = {}
     before = weights.copy()
@@ -614,7 +614,7 @@ def _remember(forward: Callable[[NDArray], NDArray], weights: NDArray) -> Callab
 
 
 def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> torch.Tensor:
-    """Mean loss of values against targets: `huber`, or half the square (`squared`)."""
+    """Return the mean loss of values against targets: `huber`, or half the square (`squared`)."""
     if kind == "huber":
         return functional.smooth_l1_loss(values, targets)
     return 0.5 * functional.mse_loss(values, targets)
@@ -623,10 +623,10 @@ def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> t
 class Learner(Stateful):
     """Gradient descent on some networks: Adam, clipping, the check for divergence, and its checkpoint.
 
-    It goes by `learning_rate`, `adam_epsilon` and `max_grad_norm` of the settings, or by another learning rate.
+    It uses `learning_rate` (unless another one is given), `adam_epsilon` and `max_grad_norm` of the settings.
 
     Attributes:
-        gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.
+        gradient_norm: Euclidean norm of the last step's gradient, before clipping.
     """
 
     STATE = ("updates", "_weights", "_moments")
@@ -660,10 +660,10 @@ class Learner(Stateful):
         self.load_state_dict(state)
 
     def minimise(self, loss: torch.Tensor) -> float:
-        """One step down the gradient; returns the loss.
+        """Make one gradient step; return the loss.
 
         Raises:
-            DivergenceError: the loss or its gradient is NaN or infinite; the weights are left alone.
+            DivergenceError: the loss or its gradient is NaN or infinite; the weights are unchanged.
         """
         value = loss.item()
         if not math.isfinite(value):
@@ -677,7 +677,7 @@ class Learner(Stateful):
         if not self._is_wild and (reason := self._find_divergence(value)) is not None:
             self._is_wild = True
             warnings.warn(f"{self.name} diverges: {reason}its loss is {value:.3g} and the norm of its gradient "
-                          f"{norm:.3g} (update {self.updates}). Lower learning_rate, or reward_scale where rewards are "
+                          f"{norm:.3g} (update {self.updates}). Lower learning_rate, or reward_scale if rewards are "
                           "large", stacklevel=2)
         if self._max_norm and norm > self._max_norm:
             for network in self._trained:
@@ -687,7 +687,7 @@ class Learner(Stateful):
         return value
 
     def minimise_each(self, losses: Iterable[Mapping[str, torch.Tensor]]) -> dict[str, float]:
-        """One step down the first part of each, taken before the next is asked for; returns the means of all parts."""
+        """Make one step on the first part of each before the next is computed; return the means of all parts."""
         totals: dict[str, torch.Tensor] = {}
         count = 0
         for parts in losses:
@@ -700,7 +700,7 @@ class Learner(Stateful):
         return math.hypot(*(network.weights.norm().item() for network in self._trained))
 
     def _find_divergence(self, loss: float) -> str | None:
-        """Reason to say that learning diverges, as the beginning of a sentence; None if there is none."""
+        """Return why learning diverges, as the beginning of a sentence, or None."""
         if abs(loss) > WILD_LOSS:
             return ""
         if self.updates % GROWTH_EVERY or not self._first_norm:

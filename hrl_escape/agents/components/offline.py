@@ -1,8 +1,8 @@
-"""Data that agents learn from without an environment: arrays of decisions or primitives, and the base of such agents.
+"""Data for agents that learn without an environment: arrays of decisions or primitives, and the base of such agents.
 
-Where the data shows few states, values stand in a table over the empirical MDP and a pass is a sweep of exact backups;
-elsewhere, and over rows of objects, they are networks, and a pass is as many minibatches as hold the data once. An
-algorithm says how a state's value follows from its actions' (`improve`), or gives a loss.
+If the data has few states, values are a table over the empirical MDP, and a pass is one sweep of exact backups.
+Otherwise, and for rows of objects, they are networks, and a pass is as many minibatches as contain the data once. An
+algorithm defines how a state's value follows from its actions' values (`improve`), or a loss.
 """
 
 from __future__ import annotations
@@ -38,44 +38,44 @@ from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox
 
 FEW_DECISIONS = 2_000
-"""Decisions of the data below which networks are warned of."""
+"""Number of decisions below which training networks causes a warning."""
 FEW_STATES = 0.1
-"""States for each decision of the data up to which `values=auto` is a table."""
+"""Largest number of states per decision of the data for a table with `values=auto`."""
 
 
 class RecordedDecisions(NamedTuple):
-    """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row a decision."""
+    """Decisions of recorded trajectories, in order; the fields of `SMDPTransition`, one row per decision."""
 
-    observation: Any  # at each decision, (n, ...)
+    observation: Any  # observation of each decision, (n, ...)
     action: NDArray[np.int64]  # int64 (n,)
-    mask: NDArray[np.bool_]  # actions legal there, bool (n, actions)
+    mask: NDArray[np.bool_]  # legal actions, bool (n, actions)
     reward: NDArray[np.float64]  # R = sum gamma^i r_i, float64 (n,)
     summed_reward: NDArray[np.float64]  # sum r_i, float64 (n,)
     duration: NDArray[np.int64]  # k, int64 (n,)
     discount: NDArray[np.float64]  # gamma^k, float64 (n,)
-    next_observation: Any  # at the state reached, (n, ...)
-    next_mask: NDArray[np.bool_]  # actions legal there, bool (n, actions)
-    terminated: NDArray[np.bool_]  # the task ended, so that nothing follows, bool (n,)
+    next_observation: Any  # observation after the decision, (n, ...)
+    next_mask: NDArray[np.bool_]  # legal actions after the decision, bool (n, actions)
+    terminated: NDArray[np.bool_]  # the task ended and the next value is 0, bool (n,)
     last: NDArray[np.bool_]  # the trajectory ends here, by its end, the horizon or a cut, bool (n,)
-    trajectory: NDArray[np.int64]  # number of the trajectory, int64 (n,)
+    trajectory: NDArray[np.int64]  # index of the trajectory, int64 (n,)
     ended: NDArray[np.int64]  # how the option ended, an index into `step_info.ENDINGS`, int64 (n,)
 
 
 class Primitives(NamedTuple):
     """Primitives of recorded trajectories, in order, each with the option that chose it."""
 
-    observation: Any  # before each primitive, (n, ...)
+    observation: Any  # observation before each primitive, (n, ...)
     action: NDArray[np.int64]  # int64 (n,)
     reward: NDArray[np.float64]  # float64 (n,)
-    next_observation: Any  # after it, (n, ...)
+    next_observation: Any  # observation after it, (n, ...)
     terminated: NDArray[np.bool_]  # as in `RecordedDecisions`
-    last: NDArray[np.bool_]  # likewise
-    trajectory: NDArray[np.int64]  # likewise
-    option: NDArray[np.int64]  # action of the decision that it belongs to, int64 (n,)
-    begins: NDArray[np.bool_]  # it is the decision's first, bool (n,)
+    last: NDArray[np.bool_]  # as in `RecordedDecisions`
+    trajectory: NDArray[np.int64]  # as in `RecordedDecisions`
+    option: NDArray[np.int64]  # action of its decision, int64 (n,)
+    begins: NDArray[np.bool_]  # whether it is the first of its decision, bool (n,)
 
     def as_decisions(self, gamma: float, actions: int) -> RecordedDecisions:
-        """The same as decisions of one primitive each."""
+        """Return the same data as decisions of one primitive each."""
         ones, legal = np.ones_like(self.action), np.ones((len(self.action), actions), np.bool_)
         return RecordedDecisions(self.observation, self.action, legal, self.reward, self.reward, ones,
                          np.full(len(ones), gamma, np.float64),
@@ -83,110 +83,111 @@ class Primitives(NamedTuple):
 
 
 class OfflineData(Protocol):
-    """Data set that `train` takes; `hrl_escape.data.load_data` gives one.
+    """Data set for `train`; `hrl_escape.data.load_data` returns one.
 
     Attributes:
-        level: `decisions` or `primitives`, for agents that are given as objects; a name's prefix says which.
+        level: `decisions` or `primitives`, for agents given as objects; the prefix of a name decides otherwise.
     """
 
     level: str
 
     @property
     def identity(self) -> Mapping[str, Any]:
-        """Name, content hash and observation, part of a run's identity."""
+        """Name, content hash and observation, which are part of a run's identity."""
         ...
 
     def read_decisions(self, gamma: float) -> RecordedDecisions:
-        """All decisions, in memory."""
+        """Return all decisions, in memory."""
         ...
 
     def read_primitives(self) -> Primitives:
-        """All primitives, in memory."""
+        """Return all primitives, in memory."""
         ...
 
     def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
-        """The environment to be tested in; with options its actions are those of the decisions."""
+        """Make the environment for tests; with `options` its actions are the data's decisions."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class OfflineSettings(AgentSettings):
-    """Settings that agents have in common that learn from a data set."""
+    """Common settings of agents that learn from a data set."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform with zero bias, as in Keras; or orthogonal with zero bias,
+    usual for PPO."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     loss: Literal["huber", "squared"] = "huber"
-    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
+    """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
     batch_size: Annotated[int, Range(1)] = 256
     """Decisions in an update."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates from replay for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
+    """Updates for each step of the clock. More learn more from the same experience and take longer."""
     stream_updates: Annotated[int, Range(1)] = 16
-    """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
-    learned from as often; much fewer and larger ones learn less, as the target network follows updates."""
+    """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
+    learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Decisions of each stream, on average, for which replay has room at least."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     passes: Annotated[int, Range(1)] = 50
-    """Passes over the data, where `train` is given no budget."""
+    """Passes over the data, if `train` has no budget."""
     values: Literal["auto", "table", "network"] = "auto"
-    """`table`: exact backups over the states that the data shows. `auto`: a table where the data shows each state ten
-    times or more, on average, and the observation has no rows of objects, which networks carry to other rooms."""
+    """`table`: exact backups over the states of the data. `auto`: a table if each state occurs at least ten times on
+    average and the observation has no rows of objects, which let networks generalise to other rooms."""
     network: Literal["mlp", "objects"] = "objects"
-    """`objects`: deep sets over rows of objects; `mlp`: a perceptron, also where the observation has no rows."""
+    """`objects`: deep sets over the observation's rows of objects. `mlp`: a perceptron over the whole observation."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
-    """Share of a network blended into its target at each update."""
+    """Share of a network blended into its target at each update. Smaller rates are slower and more stable."""
 
 
 class DecisionTable:
     """The empirical MDP of decisions whose observations are rounded to states.
 
     Args:
-        state: number of the state of each decision, int64 (n,).
-        next_state: of the state reached; those at which the data shows no decision have numbers too.
-        discounts: gamma^k, or what is to stand for it; 0 where nothing follows.
-        rewards: R, likewise.
+        state: index of the state of each decision, int64 (n,).
+        next_state: index of the next state. States without a decision in the data have indices too.
+        discounts: gamma^k, or a replacement for it; 0 if the task ended.
+        rewards: R, or a replacement for it.
 
     Attributes:
-        counts: how often the data shows each, float64 (states, actions).
-        shown: the data shows it, bool (states, actions).
-        worst: value of a state at which the data shows no decision: least reward a primitive, for ever.
+        counts: number of decisions of each state and action, float64 (states, actions).
+        shown: whether the data has such a decision, bool (states, actions).
+        worst: value of a state without decisions: the lowest reward per primitive, forever.
     """
 
     def __init__(self, state: NDArray, next_state: NDArray, data: RecordedDecisions, states: int, actions: int,
@@ -201,7 +202,7 @@ class DecisionTable:
             np.bincount(data.trajectory, data.summed_reward).min())
 
     def back_up(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mean of R + b V(s') over the decisions of each state and action; `worst` where there is none."""
+        """Return the mean of R + b V(s') over the decisions of each state and action; `worst` if there are none."""
         follow = np.where(self.shown.any(axis=1), values, self.worst)[self._next]
         targets = self._rewards + self._discounts * follow
         sums = np.bincount(self._pair, targets, self.counts.size).reshape(self.shape)
@@ -209,7 +210,7 @@ class DecisionTable:
 
 
 def list_best(data: RecordedDecisions, share: float) -> NDArray[np.bool_]:
-    """Decisions of the best share of trajectories by plain return, bool (n,); of those not cut, if there are any."""
+    """Return the decisions of the best fraction of trajectories by plain return, bool (n,), uncut ones if possible."""
     if share >= 1.0:
         return np.ones(len(data.action), np.bool_)
     returns = np.bincount(data.trajectory, data.summed_reward)
@@ -222,21 +223,21 @@ def list_best(data: RecordedDecisions, share: float) -> NDArray[np.bool_]:
 
 
 class OfflineAgent(Agent):
-    """Base of agents that learn from a data set: `begin` takes it, each `update` is one sweep or one minibatch.
+    """Base class of agents that learn from a data set: `begin` takes it, each `update` is one sweep or one minibatch.
 
-    A subclass gives `improve` for tables, `heads` and `compute_loss` for networks. Its policy takes the argmax of the
+    A subclass defines `improve` for tables, `heads` and `compute_loss` for networks. Its policy takes the argmax of the
     table's `scores`, or of the network named `acting`.
 
     Attributes:
-        is_fitted: a further sweep would change nothing.
-        is_table: values stand in a table.
-        networks: by name; none with `values=table`.
-        scores: with a table, what the policy takes the argmax of, float64 (states, actions).
-        q: with a table, Q of what the data shows, float64 (states, actions).
+        is_fitted: whether a further sweep would have no effect.
+        is_table: whether values are a table.
+        networks: networks by name; empty with `values=table`.
+        scores: argument of the policy's argmax with a table, float64 (states, actions).
+        q: Q of the state-action pairs in the data with a table, float64 (states, actions).
     """
 
     heads: ClassVar[Mapping[str, str]]
-    """Name of a network -> what it gives a number for: each `action`, or the `state`; `target_NAME` follows NAME."""
+    """Name of a network -> what its outputs belong to: each `action`, or the `state`; `target_NAME` follows NAME."""
     acting: ClassVar[str] = "q"
     has_table: ClassVar[bool] = True
     reads_both: ClassVar[bool] = False
@@ -272,7 +273,7 @@ class OfflineAgent(Agent):
     # --- learning ------------------------------------------------------------------------
 
     def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
-        """Take the data, and for agents of both the primitives in it; `AgentSettingsError` where it holds nothing."""
+        """Load the data, with its primitives for agents of both. Raises `AgentSettingsError` for empty data."""
         del primitives
         if not len(data.action):
             raise AgentSettingsError("data", "no decision", "a data set with at least one")
@@ -300,7 +301,7 @@ class OfflineAgent(Agent):
             advice = ("Use settings={'values': 'table'} for exact backups over the states in the data"
                       if self._find_cell is not None else "Give it more data")
             warnings.warn(f"{self.name} fits networks to {len(data.action):,} decisions. Below {FEW_DECISIONS:,} they "
-                          f"often learn nothing. {advice}", stacklevel=2)
+                          f"often fail to learn. {advice}", stacklevel=2)
         scale = settings.reward_scale
         self._data = Experience(
             encode_all(self._encoder, data.observation), torch.from_numpy(data.mask), torch.from_numpy(data.action),
@@ -309,7 +310,7 @@ class OfflineAgent(Agent):
         self._durations = data.duration
 
     def update(self) -> tuple[dict[str, float], int, int]:
-        """One sweep or one minibatch; returns numbers to log, and the decisions and primitives learned from."""
+        """Make one sweep or minibatch; return numbers to log, and the numbers of decisions and primitives used."""
         if self.is_table:
             before = self.q
             self.q, self.scores = self.improve(self._data, before)
@@ -328,35 +329,35 @@ class OfflineAgent(Agent):
         return logged, len(rows), int(self._durations[rows].sum())
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Make the next Q and the scores of the policy from the present Q, each (states, actions), for tables."""
+        """Return the next Q and the scores of the policy from the current Q, each (states, actions), for tables."""
         raise NotImplementedError
 
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:
-        """Make the networks by name, those of `heads` by default."""
+        """Make the networks by name, by default those in `heads`."""
         return {name: make_action_network(encoder, action_space, settings, generator) if about == "action" else
                 make_state_network(encoder, settings, generator) for name, about in self.heads.items()}
 
     @abstractmethod
     def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
-        """The loss of a minibatch of tensors, which are these rows of the data, and numbers to log."""
+        """Return the loss of a minibatch of tensors, which are `rows` of the data, and numbers to log."""
 
     # --- acting --------------------------------------------------------------------------
 
     def find_state(self, observation: Any) -> int | None:
-        """Number of an observation's state in the table; None for one that the data does not show."""
+        """Return the index of an observation's state in the table, or None if the data lacks it."""
         assert self._find_cell is not None
         return self._numbers.get(np.ascontiguousarray(self._find_cell(observation)).tobytes())
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Scores that the policy takes the argmax of, (actions,); equal in states that a table does not know."""
+        """Return the scores for the policy's argmax, (actions,); equal in states that the table lacks."""
         if not self.is_table:
             return self.networks[self.acting].compute(self._encoder.encode(observation))
         state = self.find_state(observation)
         return np.zeros(self._actions) if state is None else self.scores[state]
 
     def compute_values(self, observation: Any) -> NDArray | None:
-        """Q(s, .) in units of return, (actions,); None where none is learned, or the table does not know the state."""
+        """Return Q(s, .) in units of return, (actions,), or None without values or for states that the table lacks."""
         if self.is_table:
             state = self.find_state(observation)
             return None if state is None else self.q[state]
@@ -367,15 +368,15 @@ class OfflineAgent(Agent):
             return self.networks["q"](encoded)[0].numpy() / self.settings.reward_scale
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """The greedy choice: nothing is explored."""
+        """Return the greedy choice; such an agent does not explore."""
         return self.act_greedy(observation, action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest score; a table draws among equals."""
+        """Return the legal action of highest score; a table draws among equal scores."""
         return choose_best(self.compute_preferences(observation), action_mask, rng if self.is_table else None)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Refuse with `UnsupportedError`: such an agent learns from a data set."""
+        """Raise `UnsupportedError`: such an agent learns from a data set."""
         raise UnsupportedError(f"{self.name} learns from a data set, not from an environment: train(agent="
                                f"'{self.name}', data='lattice-play-v1')")
 

@@ -1,4 +1,4 @@
-"""Greedy policy of a network over encoded observations and what a memory keeps of the episode; and no memory."""
+"""Greedy policy of a network over encoded observations and a memory of the episode; and the memory without content."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hrl_escape.agents.decisions import Moments, Policy
 
 
 class Memory:
-    """Memory of an episode, which networks read beside the observation. This one keeps nothing: `size` is 0.
+    """Memory of an episode as additional input of networks. This base class stores nothing: `size` is 0.
 
     Attributes:
-        size: numbers in the state of an episode.
+        size: size of the state of an episode.
     """
 
     size: int = 0
@@ -29,7 +29,7 @@ class Memory:
         return {}
 
     def read(self, observation: Tensor, state: Tensor) -> Tensor:
-        """Inputs of the networks, (n, numbers + size), from encoded observations and the states before them."""
+        """Return inputs of the networks, (n, numbers + size), from encoded observations and previous states."""
         return observation
 
     def evaluate(self, observation: Any, state: Any) -> Any:
@@ -37,16 +37,16 @@ class Memory:
         return observation
 
     def get_state(self, read: Any) -> Any:
-        """The states in the result of `read`, (n, size)."""
+        """Return the states in the result of `read`, (n, size)."""
         return read[(slice(None), *(0,) * (read.ndim - 2), slice(0, 0))]  # pictures have more axes
 
     def recall(self, encoded: NDArray) -> NDArray:
-        """Inputs of the networks at one encoded observation: of the latest choice there, else of a new episode."""
+        """Return inputs of the networks at one encoded observation: of the latest choice there, else a new episode."""
         return encoded
 
     def draw_batches(self, rollout: Any, size: int, rng: np.random.Generator, epochs: int
                      ) -> Iterator[tuple[Tensor, Tensor]]:
-        """Shuffle a rollout in every epoch and cut it; yields about `size` rows and the networks' inputs there."""
+        """Shuffle a rollout in every epoch and cut it; yield about `size` rows and the networks' inputs there."""
         for rows in draw_minibatches(rng, len(rollout.place), size, epochs):
             rows = rows.to(rollout.place.device)
             yield rows, rollout.observation[rows]
@@ -56,9 +56,9 @@ class GreedyPolicy(Policy):
     """Chooses the legal action of highest score.
 
     Args:
-        encoder: from observations to inputs of the network.
-        network: from inputs to one score an action, (n, actions).
-        memory: of the episode; `Memory()` for none.
+        encoder: converts observations to inputs of the network.
+        network: maps inputs to one score per action, (n, actions).
+        memory: memory of the episode; `Memory()` for none.
     """
 
     def __init__(self, encoder: ObservationEncoder, network: Network, memory: Memory) -> None:
@@ -67,11 +67,11 @@ class GreedyPolicy(Policy):
         self._state: Any = np.zeros((1, memory.size), np.float32)
 
     def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
-        """Forget the episodes; nothing is drawn."""
+        """Reset the memory. The policy is deterministic and ignores `rng`."""
         self._state = np.zeros((num_envs, self._memory.size), np.float32)
 
     def act(self, batch: Moments) -> Any:
-        """Choose actions, int64 (n,)."""
+        """Return actions, int64 (n,)."""
         encoded = self._encoder.encode_batch(batch.observation)
         if not isinstance(encoded, np.ndarray) and isinstance(self._state, np.ndarray):
             self._state = encoded.new_zeros(self._state.shape)

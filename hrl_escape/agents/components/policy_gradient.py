@@ -1,7 +1,7 @@
 """Parts of policy gradients over decisions of any duration: advantages, masked policies, the clipped objective.
 
-Schulman et al. (2016, 2017); masks by Huang and Ontanon (2022). Decisions of many streams, ragged in time, lie in rows
-that say their stream and their place in it.
+Schulman et al. (2016, 2017); masks follow Huang and Ontanon (2022). Decisions of many environments differ in number.
+They are stored as rows with the index of their environment (`stream`) and their place in its sequence.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from hrl_escape.agents.state import Kept, Stateful
 
 
 class Rollout(NamedTuple):
-    """Decisions of one or more streams; tensors with leading dimension n, on one device."""
+    """Decisions of one or more environments; tensors with leading dimension n, on one device."""
 
     observation: Tensor  # (n, *observation shape), encoded
     mask: Tensor  # bool (n, actions)
     action: Tensor  # int64 (n,)
-    log_probability: Tensor  # float32 (n,), of the action under the policy that chose it
+    log_probability: Tensor  # float32 (n,), of the action under the behaviour policy
     reward: Tensor  # float32 (n,), R, scaled
     bootstrap: Tensor  # float32 (n,), b
     duration: Tensor  # int64 (n,), k
-    over: Tensor  # bool (n,), the episode ended here, by termination or truncation
-    next_observation: Tensor  # (n, *observation shape), the state reached, also at an episode's end
-    memory: Tensor  # float32 (n, numbers), recurrent state before the decision; no numbers where there is none
-    stream: Tensor  # int64 (n,)
-    place: Tensor  # int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap
+    over: Tensor  # bool (n,), whether the episode ended, by termination or truncation
+    next_observation: Tensor  # (n, *observation shape), the next state, also at the end of an episode
+    memory: Tensor  # float32 (n, numbers), recurrent state before the decision; of width 0 without a memory
+    stream: Tensor  # int64 (n,), index of the environment
+    place: Tensor  # int64 (n,), index of the decision in its stream, from 0 without gaps
 
 
 class RolloutBuffer(Stateful):
-    """Decisions that are collected for the next updates, of one environment or many.
+    """Decisions collected for the next updates, of one environment or many.
 
     Attributes:
-        log_probability: (environments,), of each environment's latest choice under the policy that made it.
+        log_probability: of each environment's latest choice under the policy that made it, (environments,).
     """
 
     STATE = (Kept("_rows", "rows", unpack=dict), "log_probability")
@@ -55,29 +55,29 @@ class RolloutBuffer(Stateful):
         return self._count
 
     def add(self, *fields: Any) -> None:
-        """Take in decisions: the fields of `Rollout` but for the place, arrays or tensors (n, ...)."""
+        """Add decisions: the fields of `Rollout` except the place, arrays or tensors (n, ...)."""
         self._parts.append(fields)
         self._count += len(fields[-1])
 
     def note_choice(self, env: Any, log_probability: Any) -> None:
-        """Note choices of some environments, int64 (n,), with their log probabilities, (n,)."""
+        """Store the log probabilities, (n,), of choices of some environments, int64 (n,)."""
         self.log_probability[env] = log_probability
 
     def gather(self) -> Rollout:
-        """Everything that was collected, as tensors."""
+        """Return all collected decisions as tensors."""
         fields = [self._arrays.join(parts) for parts in zip(*self._parts, strict=True)]
         place = count_places(fields[-1])
         rollout = Rollout(*fields, place=place)
         return rollout._replace(**{name: getattr(rollout, name).float() for name in ("reward", "bootstrap")})
 
     def take(self) -> Rollout:
-        """Return what was collected, and begin the next rollout."""
+        """Return the collected decisions, and begin the next rollout."""
         rollout = self.gather()
         self._parts, self._count = [], 0
         return rollout
 
     def truncate(self) -> None:
-        """End the episode of every environment with its latest decision here."""
+        """End the episode of every environment at its latest decision."""
         if self._count:
             rollout = self.gather()
             last = torch.zeros(self._num_envs, dtype=torch.int64, device=rollout.place.device)
@@ -88,7 +88,7 @@ class RolloutBuffer(Stateful):
 
     @property
     def _rows(self) -> dict[str, Tensor] | None:
-        """Fields of what was collected; None where that is nothing."""
+        """Fields of the collected decisions, or None if there are none."""
         return self.gather()._asdict() if self._count else None
 
     @_rows.setter
@@ -99,7 +99,7 @@ class RolloutBuffer(Stateful):
 
 
 def count_places(stream: Tensor) -> Tensor:
-    """Place of each row among those of its stream, in order, int64 (n,) from int64 (n,)."""
+    """Return the place of each row within its stream, in order, int64 (n,) from int64 (n,)."""
     order = torch.argsort(stream, stable=True)
     sizes = torch.bincount(stream)
     begins = (sizes.cumsum(0) - sizes)[stream[order]]
@@ -109,11 +109,11 @@ def count_places(stream: Tensor) -> Tensor:
 
 
 def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: Any) -> Tensor:
-    """Generalised advantages of decisions of different duration, stream by stream, float32 (n,).
+    """Return generalised advantages of decisions of different duration, by environment, float32 (n,).
 
-    delta_t = R_t + b_t V(s_{t+1}) - V(s_t), and A_t = delta_t + b_t L_t A_{t+1} unless the episode ended at t,
-    with b_t = gamma^k_t (1 - terminated) and L_t = lambda, or lambda^k_t with `lambda_per="primitive"`; t + 1 is the
-    same stream's next decision.
+    delta_t = R_t + b_t V(s_{t+1}) - V(s_t), and A_t = delta_t + b_t L_t A_{t+1} unless the episode ended at t, with
+    b_t = gamma^k_t (1 - terminated) and L_t = lambda, or lambda^k_t with `lambda_per="primitive"`; t + 1 is the next
+    decision in the same environment.
     """
     delta = rollout.reward + rollout.bootstrap * next_values - values
     powers = rollout.duration if settings.lambda_per == "primitive" else torch.ones_like(rollout.duration)
@@ -121,14 +121,14 @@ def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, se
     at = rollout.place, rollout.stream
     shape = int(rollout.place.max()) + 1, int(rollout.stream.max()) + 1
     deltas, carries = (torch.zeros(shape, dtype=torch.float64, device=delta.device) for _ in range(2))
-    deltas[at], carries[at] = delta.to(torch.float64), carry  # (places, streams), 0 where a stream has no more
+    deltas[at], carries[at] = delta.to(torch.float64), carry  # (places, streams), 0 after the end of a stream
     for place in range(shape[0] - 2, -1, -1):
         deltas[place] += carries[place] * deltas[place + 1]
     return deltas[at].to(torch.float32)
 
 
 def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
-    """Row of the same stream's next decision, int64 (n,), and whether it is here, in the same episode; else row 0."""
+    """Return the row of the next decision in the same stream, int64 (n,), and whether it continues the episode."""
     place, stream = rollout.place, rollout.stream
     shape = int(place.max()) + 2, int(stream.max()) + 1
     rows = torch.full(shape, -1, dtype=torch.int64, device=place.device)
@@ -138,13 +138,13 @@ def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
 
 
 def compute_next_values(rollout: Rollout, values: Tensor, evaluate: Callable[[Tensor], Tensor]) -> Tensor:
-    """V of the states reached, float32 (n,): that of the next decision in the environment, where it is in the rollout.
+    """Return V of the next states, float32 (n,): the value of the next decision, if it is in the rollout.
 
     Args:
         rollout: the decisions.
-        values: V of the states in which they were made, (n,).
-        evaluate: V of the states that the decisions of some rows reached, (k,) from int64 (k,). It is asked where no
-            decision follows.
+        values: V of the states of the decisions, (n,).
+        evaluate: computes V of the next states of some rows, (k,) from int64 (k,); called for rows without a next
+            decision.
     """
     after, goes_on = find_next(rollout)
     last = (~goes_on).nonzero().squeeze(1)
@@ -152,7 +152,7 @@ def compute_next_values(rollout: Rollout, values: Tensor, evaluate: Callable[[Te
 
 
 def compute_log_policy(logits: Any, mask: Any) -> Any:
-    """Log probabilities of the softmax over legal actions, -inf elsewhere; arrays or tensors (batch, actions)."""
+    """Return log probabilities of the softmax over legal actions, -inf elsewhere; arrays or tensors (n, actions)."""
     if isinstance(logits, np.ndarray):
         legal = np.where(mask, logits, -np.inf)
         legal = legal - legal.max(axis=1, keepdims=True)
@@ -160,25 +160,25 @@ def compute_log_policy(logits: Any, mask: Any) -> Any:
     legal = logits.masked_fill(~mask, -torch.inf)
     if len(legal) < BLOCK_ROWS:
         return functional.log_softmax(legal, dim=1)
-    return functional.log_softmax(legal.t().contiguous(), dim=0).t()  # row by row it takes six times as long
+    return functional.log_softmax(legal.t().contiguous(), dim=0).t()  # a sixth of the time of the row-wise form
 
 
 def take_column(rows: Any, column: Any) -> Any:
-    """One entry of each row, (n,) from (n, columns) and int64 (n,); arrays or tensors."""
+    """Return one entry of each row, (n,) from (n, columns) and int64 (n,); arrays or tensors."""
     if isinstance(rows, np.ndarray):
         return rows[np.arange(len(rows)), column]
     return rows.gather(1, column[:, None]).squeeze(1)
 
 
 def sample_policy(log_policy: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw an action from each row of log probabilities, int64 (batch,); one of probability 0 is never drawn."""
+    """Draw an action from each row of log probabilities, int64 (batch,); actions of probability 0 are never drawn."""
     waits = torch.empty_like(log_policy).exponential_(generator=generator).clamp_(min=1e-30)
-    return (log_policy - waits.log()).argmax(dim=1)  # the first of exponential clocks to ring
+    return (log_policy - waits.log()).argmax(dim=1)  # minimum of exponential clocks
 
 
 def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, advantage: Tensor, clip: float,
                          normalise: bool = True) -> Tensor:
-    """Negated mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A), A normalised over the batch; () from (batch,)."""
+    """Return minus the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A), A normalised; () from (batch,)."""
     ratio = (log_probability - old_log_probability).exp()
     if normalise:
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -187,7 +187,7 @@ def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, a
 
 def compute_clipped_parts(log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor,
                           advantage: Tensor, target: Tensor, settings: Any) -> dict[str, Tensor]:
-    """PPO's loss over a minibatch, and after it its parts; log_policy and mask are (n, actions), all others (n,)."""
+    """Return PPO's loss over a minibatch and its parts; log_policy and mask are (n, actions), all others (n,)."""
     policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip,
                                        settings.normalise_advantages)
     value_loss = 0.5 * functional.mse_loss(values, target)
@@ -197,5 +197,5 @@ def compute_clipped_parts(log_policy: Tensor, mask: Tensor, action: Tensor, valu
 
 
 def compute_entropy(log_policy: Tensor, mask: Tensor) -> Tensor:
-    """Mean entropy of policies over legal actions, nats; () from (batch, actions)."""
+    """Return the mean entropy of policies over legal actions, nats; () from (batch, actions)."""
     return -(log_policy.exp() * log_policy.masked_fill(~mask, 0.0)).sum(dim=1).mean()

@@ -1,7 +1,7 @@
-"""Tables of values, of actions over a discretised observation and under any keys, and agents that act by them.
+"""Tables of values, over actions of a discretised observation or under any keys, and agents that act by them.
 
-An observation becomes a key: a Discrete one is itself, a Box is rounded component by component.
-Rows appear when a state is first met, so memory follows the states visited.
+An observation becomes a key: a Discrete one is the key itself, a Box is rounded component by component. Rows are
+created when a state is first met, and memory grows with the number of visited states.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True)
 class ResolutionSettings(AgentSettings):
-    """Rounding by which observations with and without bounds become states."""
+    """Rounding of observations with and without bounds to states."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,44 +50,45 @@ class TabularSettings(AgentSettings):
     """Resolution of states, learning rates of the table, and exploration from it."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
 
 
 def make_discretiser(space: gymnasium.Space, settings: Any, agent: str) -> Callable[[Any], bytes]:
-    """A function from observations to table keys: bytes of int32 cells; see `make_cell_finder`."""
+    """Return a function from observations to table keys, the bytes of int32 cells; see `make_cell_finder`."""
     find_cell = make_cell_finder(space, settings, agent)
     return lambda observation: find_cell(observation).tobytes()
 
 
 def make_cell_finder(space: gymnasium.Space, settings: Any, agent: str
                      ) -> Callable[[Any], NDArray[np.int32]]:
-    """A function from observations, one or a batch of them, to int32 cells of the same shape.
+    """Return a function from observations, one or a batch of them, to int32 cells of the same shape.
 
     Raises:
-        UnsupportedSpaceError: observations are neither Discrete, MultiBinary, MultiDiscrete nor a one-axis Box.
+        UnsupportedSpaceError: observations are not Discrete, MultiBinary, MultiDiscrete or a one-axis Box.
     """
     if isinstance(space, (spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)):
         return lambda observation: np.asarray(observation, dtype=np.int32)
@@ -118,12 +119,12 @@ class QTable(Stateful):
         return len(self._values)
 
     def get_values(self, key: bytes) -> NDArray[np.float64]:
-        """Values at a state, (actions,); not to be written. A state never met has `initial_value`."""
+        """Return the values of a state, (actions,), read-only. A state never met has `initial_value`."""
         values = self._values.get(key)
         return np.full(self._actions, self._settings.initial_value) if values is None else values
 
     def update(self, key: bytes, action: int, target: float) -> float:
-        """Q(s, a) <- Q(s, a) + alpha (target - Q(s, a)); returns the error before it."""
+        """Q(s, a) <- Q(s, a) + alpha (target - Q(s, a)); return the error before the update."""
         if key not in self._values:
             self._values[key] = np.full(self._actions, self._settings.initial_value)
             self._counts[key] = np.zeros(self._actions, np.int64)
@@ -131,22 +132,21 @@ class QTable(Stateful):
         counts[action] += 1
         alpha = self._settings.learning_rate / float(counts[action]) ** self._settings.learning_rate_power
         error = target - values[action]
-        # Not values += alpha * error: with alpha = 1 the target must be reached exactly.
+        # `values += alpha * error` would not reach the target exactly with alpha = 1.
         values[action] = (1 - alpha) * values[action] + alpha * target
         return float(error)
 
     def forget(self, action: int) -> None:
-        """Give an action its initial value in every state, as if it had never been tried."""
+        """Reset an action to its initial value in every state, as if it had never been tried."""
         for values, counts in zip(self._values.values(), self._counts.values(), strict=True):
             values[action], counts[action] = self._settings.initial_value, 0
 
 
 class ValueTable(Stateful):
-    """Values and update counts by key, for agents whose states differ in form from task to task.
+    """Values and update counts by key, for agents whose states have different forms in different tasks.
 
-    The n-th update of a key has alpha / n^power.
-
-    Keys are literals: numbers, text, bytes, None and tuples of these.
+    The n-th update of a key has step size learning_rate / n^power. Keys are literals: numbers, text, bytes, None and
+    tuples of these.
     """
 
     STATE = (Columns({"values": "_values", "counts": "_counts"}, are_literal=True),)
@@ -163,25 +163,25 @@ class ValueTable(Stateful):
         return iter(self._values)
 
     def get(self, key: Hashable) -> float:
-        """The value of a key."""
+        """Return the value of a key."""
         return self._values.get(key, self.initial)
 
     def update(self, key: Hashable, target: float) -> float:
-        """Move a value towards a target, x <- x + alpha (target - x); returns the error before it."""
+        """Update a value, x <- x + alpha (target - x); return the error before the update."""
         value = self._values.get(key, self.initial)
         count = self._counts.get(key, 0) + 1
         alpha = self._rate / count**self._power if self._power else self._rate
-        # With alpha = 1 the target must be reached exactly.
+        # This form reaches the target exactly with alpha = 1.
         self._values[key] = (1 - alpha) * value + alpha * target
         self._counts[key] = count
         return target - value
 
 
 class TabularAgent(Agent):
-    """Base of agents that learn Q(s, o) in a table, by the SMDP backup of one decision.
+    """Base class of agents that learn Q(s, o) in a table, by the SMDP backup of one decision.
 
-    Ties are drawn: in learning by the agent's own generator, in evaluation by that of the episode, so that evaluating
-    frozen tables twice gives the same numbers.
+    Ties are broken at random: in learning by the agent's generator, in evaluation by the episode's, which makes
+    evaluations of frozen tables reproducible.
     """
 
     STATE = ("table", "_steps", "_rng")
@@ -195,7 +195,7 @@ class TabularAgent(Agent):
         self._steps = 0
 
     def compute_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q(s, .) at an observation, float64 (actions,)."""
+        """Return Q(s, .) at an observation, float64 (actions,)."""
         return self.table.get_values(self._discretise(observation))
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
@@ -204,11 +204,11 @@ class TabularAgent(Agent):
         return sample_action(values, action_mask, self.settings, self._steps, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest value, drawn among equals."""
+        """Return the legal action of highest value, drawn among equal values."""
         return choose_best(self.compute_values(observation), action_mask, rng)
 
     def back_up(self, transition: SMDPTransition, bonus: float = 0.0) -> float:
-        """Q(s, o) <- Q(s, o) + alpha [R + bonus + b max over legal o' of Q(s', o') - Q(s, o)]; returns the error."""
+        """Q(s, o) <- Q(s, o) + alpha [R + bonus + b max over legal o' of Q(s', o') - Q(s, o)]; return the error."""
         reward, bootstrap = compute_backup(transition, self.settings)
         target = reward + bonus
         if bootstrap:
@@ -217,7 +217,7 @@ class TabularAgent(Agent):
         return self.table.update(self._discretise(transition.observation), transition.action, target)
 
     def finish_decision(self, transition: SMDPTransition, error: float) -> dict[str, float]:
-        """Advance the clock; returns numbers to log."""
+        """Advance the clock; return numbers to log."""
         self._steps += count_steps(transition, self.settings)
         epsilon = compute_epsilon(self.settings, self._steps)
         return {"td_error": abs(error), "epsilon": epsilon, "states": len(self.table)}

@@ -1,8 +1,9 @@
-"""Base of agents made of TorchRL's parts: decisions as TensorDicts, chance of their own, descent and checkpoints.
+"""Base class of agents made of TorchRL's parts: decisions as TensorDicts, random numbers, updates and checkpoints.
 
-TorchRL (Bou et al. 2023) gives the networks, losses, value estimators, replay and target updates; this project's
-training loop plays the environment, so run folders, evaluations and reports are those of every other agent. TorchRL's
-estimators discount by gamma to the power of the root key `steps_to_next_obs`, which here is a decision's duration.
+TorchRL (Bou et al. 2023) provides the networks, losses, value estimators, replay and target updates. The training loop
+of this project runs the environment, and run folders, evaluations and reports are the same as for every other agent.
+TorchRL's estimators discount by gamma to the power of the root key `steps_to_next_obs`, here the duration of a
+decision.
 """
 
 from __future__ import annotations
@@ -34,17 +35,17 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DivergenceError
 
 ILLEGAL = -1e6
-"""Logit of an illegal action: its probability is exactly 0, and 0 times its logarithm is 0, where minus infinity would
-make `DiscreteSACLoss` NaN."""
+"""Logit of an illegal action. Its probability is exactly 0, and 0 times its logarithm is 0; minus infinity would make
+`DiscreteSACLoss` NaN."""
 PARAMETERS: Any = {"logits": "logits", "mask": "action_mask"}
-"""Keys of a distribution's parameters: a mapping, which TorchRL takes and does not declare."""
-logging.getLogger("torchrl").setLevel(logging.WARNING)  # or it tells of every replay buffer
+"""Keys of a distribution's parameters: a mapping, which TorchRL accepts without declaring it."""
+logging.getLogger("torchrl").setLevel(logging.WARNING)  # silences a message for every replay buffer
 
 
 class TorchRLAgent(Agent):
-    """Base: an agent whose policy is an actor over TensorDicts and whose learning is the descent of a TorchRL loss.
+    """Base class: the policy is an actor over TensorDicts, and learning minimises a TorchRL loss.
 
-    A subclass makes the actor and the loss and calls `_begin` with them; it runs on the CPU.
+    A subclass makes the actor and the loss and passes them to `_begin`. The agent runs on the CPU.
     """
 
     settings: Any
@@ -61,7 +62,7 @@ class TorchRLAgent(Agent):
             self._network = self._make_mlp(self._actions)
 
     def _begin(self, actor: TensorDictModule, loss: LossModule) -> None:
-        """Take the policy and the loss, whose parameters Adam moves from now on."""
+        """Set the policy and the loss, whose parameters Adam updates."""
         self._actor, self._loss = actor, loss
         self._trained = [parameter for parameter in loss.parameters() if parameter.requires_grad]
         self._adam = torch.optim.Adam(self._trained, lr=self.settings.learning_rate)
@@ -72,7 +73,7 @@ class TorchRLAgent(Agent):
                    activation_class=nn.Tanh)
 
     def _make_policy(self) -> ProbabilisticActor:
-        """The network with its outputs as the logits of a distribution over legal actions."""
+        """Policy with the network's outputs as logits of a distribution over legal actions."""
         return ProbabilisticActor(
             TensorDictModule(self._network, ["observation"], ["logits"]),
             in_keys=PARAMETERS, distribution_class=MaskedCategorical,
@@ -80,7 +81,7 @@ class TorchRLAgent(Agent):
 
     @contextmanager
     def _own_chance(self) -> Iterator[None]:
-        """TorchRL draws from torch's global generator: lend it the agent's own, and put it back."""
+        """Run TorchRL, which draws from torch's global generator, with the agent's own random state."""
         with torch.random.fork_rng(devices=()):
             torch.set_rng_state(self._chance.get_state())
             yield
@@ -93,7 +94,7 @@ class TorchRLAgent(Agent):
         return TensorDict({"observation": encoded, "action_mask": torch.from_numpy(np.array(action_mask, np.bool_))})
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Explore by the actor, legal actions only."""
+        """Explore with the actor, among legal actions."""
         with torch.no_grad(), self._own_chance(), set_exploration_type(ExplorationType.RANDOM):
             return int(self._explore(self._see(observation, action_mask))["action"])
 
@@ -101,18 +102,18 @@ class TorchRLAgent(Agent):
         return self._actor(seen)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose the legal action of highest value, or the likeliest."""
+        """Return the legal action of highest value, or of highest probability."""
         return choose_best(self._compute(observation), action_mask)
 
     def _compute(self, observation: Any) -> NDArray:
-        """Compute the outputs of the actor's network, float32 (actions,): scaled values, or logits."""
-        with torch.no_grad():  # the actor around it takes ten times as long
+        """Return the outputs of the actor's network, float32 (actions,): scaled values, or logits."""
+        with torch.no_grad():  # calling the whole actor takes ten times as long
             return self._network(torch.from_numpy(self._encoder.encode(observation).reshape(-1))).numpy()
 
     # --- learning ------------------------------------------------------------------------
 
     def _make_decision(self, transition: SMDPTransition) -> TensorDict:
-        """A decision under the keys that TorchRL's losses read; `reward` is R, scaled."""
+        """A decision under the keys of TorchRL's losses; `reward` is R, scaled."""
         seen = self._see(transition.observation, transition.action_mask)
         reached = self._see(transition.next_observation, transition.next_action_mask)
         ended = transition.terminated or transition.truncated
@@ -122,7 +123,7 @@ class TorchRLAgent(Agent):
                             "steps_to_next_obs": torch.tensor([transition.duration])})
 
     def _descend(self, batch: TensorDictBase) -> dict[str, float]:
-        """One step of Adam down the sum of the losses of a batch; `DivergenceError` where it is not finite."""
+        """Make one step of Adam on the sum of the losses of a batch. Raises `DivergenceError` if it is not finite."""
         parts = self._loss(batch)
         loss = sum(value for key, value in parts.items() if key.startswith("loss"))
         assert isinstance(loss, Tensor)
@@ -139,7 +140,7 @@ class TorchRLAgent(Agent):
 
     @property
     def _weights(self) -> dict[str, Tensor]:
-        """Parameters and buffers of the loss, target networks among them."""
+        """Parameters and buffers of the loss, with target networks."""
         named = (*self._loss.named_parameters(), *self._loss.named_buffers())
         return {name: tensor.detach() for name, tensor in named}
 
@@ -162,7 +163,7 @@ class TorchRLAgent(Agent):
 
 
 class TorchRLReplayAgent(TorchRLAgent):
-    """Base of agents with replay, whose target networks `_target` moves after each update."""
+    """Base class of agents with replay; `_target` updates the target networks after each update."""
 
     STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"))
     _target: TargetNetUpdater
@@ -185,7 +186,7 @@ class TorchRLReplayAgent(TorchRLAgent):
 
 
 class TorchRLReplay:
-    """TorchRL's replay buffer, with a checkpoint of arrays."""
+    """TorchRL's replay buffer with a checkpoint of arrays."""
 
     def __init__(self, capacity: int, batch_size: int) -> None:
         self._buffer = ReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=batch_size)
@@ -194,7 +195,7 @@ class TorchRLReplay:
         return len(self._buffer)
 
     def add(self, decision: TensorDict) -> None:
-        """Keep a decision in place of the oldest."""
+        """Store a decision, replacing the oldest if the buffer is full."""
         self._buffer.add(decision)
 
     def sample(self) -> TensorDictBase:
@@ -202,7 +203,7 @@ class TorchRLReplay:
         return self._buffer.sample()
 
     def state_dict(self) -> dict[str, Any]:
-        """Decisions by key, and where the next goes."""
+        """Return decisions by key, and the next position."""
         if not len(self):
             return {}
         kept = self._buffer[:].flatten_keys(" ")
@@ -210,7 +211,7 @@ class TorchRLReplay:
                 "decisions": {key: value.numpy().copy() for key, value in sorted(kept.items())}}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on where `state_dict` was taken."""
+        """Continue from the state of `state_dict`."""
         self._buffer.empty()
         if state:
             decisions = {key: torch.from_numpy(np.array(value)) for key, value in state["decisions"].items()}

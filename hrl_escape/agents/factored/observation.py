@@ -1,8 +1,8 @@
 """Observations split into discrete factors and a pose.
 
-All components of MultiBinary, MultiDiscrete and Discrete observations are factors. Of a flat Box, the factors are the
-components that have only ever been 0 or 1 (in a room, the puzzle's bits). The rest is the pose; durations are taken to
-depend on it, outcomes not.
+All components of MultiBinary, MultiDiscrete and Discrete observations are factors. In a flat Box, factors are the
+components that have only ever been 0 or 1 (in a room, the puzzle's bits). The remaining components are the pose. The
+models assume that durations depend on the pose, and outcomes do not.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class FactorReader:
     """Splits observations into factors and pose.
 
     Attributes:
-        components: int64 (factors,), index of each factor in the flattened observation.
-        sizes: int64 (factors,), number of values of each.
+        components: index of each factor in the flattened observation, int64 (factors,).
+        sizes: number of values of each factor, int64 (factors,).
 
     Raises:
         UnsupportedSpaceError: observations are neither discrete nor a one-axis Box.
@@ -52,11 +52,11 @@ class FactorReader:
         self.sizes = self._sizes[chosen]
 
     def flatten(self, observation: Any) -> NDArray[np.float64]:
-        """The observation as float64 (components,)."""
+        """Return the observation as float64 (components,)."""
         return np.asarray(observation, dtype=np.float64).ravel()
 
     def notice(self, flat: NDArray[np.float64]) -> bool:
-        """Drop factors that have shown another value than 0 and 1; returns True if the factors changed."""
+        """Drop factors with values other than 0 and 1; return whether the factors changed."""
         if not self._is_open:
             return False
         rows = np.atleast_2d(flat)
@@ -67,14 +67,14 @@ class FactorReader:
         return True
 
     def keep(self, components: NDArray[np.int64]) -> None:
-        """Drop every factor that is none of these components."""
+        """Drop every factor that is not among these components."""
         self._set(self._chosen & np.isin(np.arange(len(self._chosen)), components))
 
     def read(self, flat: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Values of the factors, int64 (..., factors). A number that is no such value (before `notice`) reads as 0."""
+        """Return the values of the factors, int64 (..., factors). Other numbers (before `notice`) read as 0."""
         values = flat[..., self.components]
         return np.where((values >= 0) & (values < self.sizes), values, 0).astype(np.int64)
 
     def read_pose(self, flat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Components that are no factors, float64 (..., components - factors)."""
+        """Return the components that are not factors, float64 (..., components - factors)."""
         return flat[..., ~self._chosen]

@@ -1,14 +1,13 @@
-"""Factored model learned from a history of decisions, and agents that plan in it: to the unknown, then to the end.
+"""Factored model learned from a history of decisions, and agents that plan in it: to unknown outcomes, then to the end.
 
-Everything but the history is derived from it, so the history is the checkpoint. The reward is modelled as a usual rate
-a primitive plus a bonus at a decision's end, and the bonus as an outcome like others. An action that is masked is a
-sample too: of doing nothing there, so that where an option may start is learned like what it does. Agents choose the
+Everything else is derived from the history, and the history is therefore the checkpoint. The reward is modelled as a
+usual rate per primitive plus a bonus at the end of a decision, and the bonus as an outcome like others. A masked action
+is a sample too: it has no effect. Where an option can start is therefore learned like its effects. Agents choose which
 hypotheses to believe.
 
-Durations are learned apart from outcomes, by the pose in which actions start. An action that ends at about the same
-pose every time leaves the robot at a place of its own. From place to place the mean of the durations seen counts;
-elsewhere a straight line of duration over distance, fitted to the history. Without a pose every action has its mean
-duration.
+Durations are learned separately from outcomes, from the pose where actions start. An action that always ends at about
+the same pose leads to a place of its own. Between places the model uses the mean of the observed durations; elsewhere
+it uses a linear function of distance, fitted to the history. Without a pose every action has its mean duration.
 """
 
 from __future__ import annotations
@@ -41,32 +40,32 @@ from hrl_escape.agents.state import Kept, Stateful, StateTree, pack_columns, unp
 from hrl_escape.errors import UnsupportedSpaceError
 
 NEAR = 0.15
-"""A pose belongs to a place within this share of the distance that poses are apart on average."""
+"""A pose belongs to a place within this fraction of the mean distance between poses."""
 
 
 class DurationHistory(NamedTuple):
-    """Decisions in the order they were made, none cut inside."""
+    """Decisions in order, without those that truncation cut inside an option."""
 
-    starts: NDArray[np.float64]  # (decisions, pose) before each
+    starts: NDArray[np.float64]  # (decisions, pose), pose before each
     actions: NDArray[np.int64]  # (decisions,)
-    ends: NDArray[np.float64]  # (decisions, pose) after each
+    ends: NDArray[np.float64]  # (decisions, pose), pose after each
     durations: NDArray[np.float64]  # (decisions,), primitives
-    previous: NDArray[np.int64]  # (decisions,), the action before in the same episode, or -1
+    previous: NDArray[np.int64]  # (decisions,), previous action in the same episode, or -1
 
 
 class DurationModel(NamedTuple):
-    """Durations between places; made by `fit_durations`."""
+    """Durations between places, as fitted by `fit_durations`."""
 
     table: NDArray[np.float64]
-    """(actions + 1, actions), primitives of each action from each place; the last row from nowhere special."""
-    places: NDArray[np.int64]  # (actions,), the row that holds after each action
+    """(actions + 1, actions), primitives of each action from each place; the last row applies elsewhere."""
+    places: NDArray[np.int64]  # (actions,), row of `table` after each action
     homes: NDArray[np.float64]  # (actions, pose), where each action ends
-    weights: NDArray[np.float64]  # (pose,), how much each number of the pose counts in a distance
+    weights: NDArray[np.float64]  # (pose,), weight of each number of the pose in a distance
     line: tuple[float, float]  # duration = line[0] + line[1] * distance
     near: float  # see `NEAR`, in units of that distance
 
     def compute_durations(self, pose: NDArray[np.float64]) -> NDArray[np.float64]:
-        """`table` with a last row that holds at this pose."""
+        """Return `table` with a last row for this pose."""
         has_home = self.places < len(self.places)
         if not has_home.any():
             return self.table
@@ -84,7 +83,7 @@ def _predict(line: tuple[float, float], distance: NDArray[np.float64]) -> NDArra
 
 
 def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
-    """Fit durations to a history, which may be empty."""
+    """Fit durations to a history, which can be empty."""
     starts, chosen, ends, duration, previous = history
     if not len(chosen):
         return DurationModel(np.ones((actions + 1, actions)), np.full(actions, actions), np.zeros((actions, 0)),
@@ -97,7 +96,7 @@ def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
     np.add.at(homes, chosen, ends)
     homes /= np.maximum(counts, 1)[:, None]
     spread, scatter = ends.std(axis=0), np.sqrt(((ends - homes[chosen]) ** 2).mean(axis=0))
-    weights = (scatter < 0.5 * spread).astype(np.float64)  # numbers in which actions end alike: not the heading
+    weights = (scatter < 0.5 * spread).astype(np.float64)  # numbers that are similar at the ends, unlike the heading
     if len(chosen) < 3 or not weights.any():
         return DurationModel(table, np.full(actions, actions), homes, weights, (float(duration.mean()), 0.0), 0.0)
     scatters = np.linalg.norm((ends - homes[chosen]) * weights, axis=1)
@@ -124,18 +123,18 @@ def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
 
 
 REMEMBERED_DECISIONS = 2_000
-"""Decisions that durations are fitted to."""
+"""Number of recent decisions that durations are fitted to."""
 
 
 class Belief:
-    """A compiled model, kept up to date action by action.
+    """A compiled model, updated action by action.
 
     Args:
-        choose: the hypotheses to go by; asked again about an action after each sample of it.
-        visits: samples that make a context known.
+        choose: returns the hypotheses to believe; called again for an action after each of its samples.
+        visits: number of samples that make a context known.
 
     Attributes:
-        models: of all actions, as of the last `update`.
+        models: models of all actions since the last `update`.
     """
 
     def __init__(self, choose: ChooseHypotheses, visits: int) -> None:
@@ -165,7 +164,7 @@ class Belief:
 
 
 class PendingPlan(Stateful):
-    """Rest of a plan, followed as long as it leads to the states it predicted."""
+    """Rest of a plan, followed while it leads to the predicted states."""
 
     STATE = ("_states", "_actions")
 
@@ -174,15 +173,15 @@ class PendingPlan(Stateful):
         self._actions: list[int] = []
 
     def begin(self, plan: ModelPlan) -> None:
-        """Follow another plan from now on."""
+        """Replace the plan."""
         self._states, self._actions = list(plan.states), list(plan.actions)
 
     def drop(self) -> None:
-        """Follow no plan until one begins."""
+        """Discard the plan."""
         self._states, self._actions = [], []
 
     def take(self, state: int, legal: NDArray[np.bool_]) -> int | None:
-        """The next action, if this is the state that was expected and the action is legal."""
+        """Return the next action if the state is the predicted one and the action is legal."""
         if not self._states or self._states[0] != state or not legal[self._actions[0]]:
             return None
         self._states.pop(0)
@@ -192,15 +191,15 @@ class PendingPlan(Stateful):
 class _Recorded(NamedTuple):
     """A decision of the history."""
 
-    before: NDArray[np.float64]  # observation, flattened
+    before: NDArray[np.float64]  # flattened observation
     after: NDArray[np.float64]
-    masks: NDArray[np.bool_]  # actions legal before
+    masks: NDArray[np.bool_]  # legal actions before
     action: int
     duration: int
     reward: float  # sum of the rewards
     over: bool
-    previous: int  # the action before in the same episode, or -1
-    again: bool  # the action was legal right after itself
+    previous: int  # previous action in the same episode, or -1
+    again: bool  # whether the action was legal right after itself
 
 
 class FactoredModel:
@@ -208,11 +207,11 @@ class FactoredModel:
 
     Args:
         conditions: `all-on` or `any`; see `FactoredRMaxSettings`.
-        make_learner: (sizes of the factors, actions, max_parents, all_on) -> the learner.
+        make_learner: (sizes of the factors, actions, max_parents, all_on) -> the structure learner.
         compile: makes the model of an action, with the arguments of `compile_action`.
 
     Attributes:
-        repeatable: bool (actions,), actions that were seen to be legal right after themselves.
+        repeatable: actions that were seen to be legal right after themselves, bool (actions,).
     """
 
     def __init__(
@@ -221,27 +220,27 @@ class FactoredModel:
         compile: Callable[..., ActionModel] = compile_action,
     ) -> None:
         if actions > MOST_ACTIONS:
-            raise UnsupportedSpaceError(f"{agent} plans with at most {MOST_ACTIONS} actions, not {actions}")
+            raise UnsupportedSpaceError(f"{agent} plans with at most {MOST_ACTIONS} actions, got {actions}")
         self.gamma, self._actions, self._max_parents, self._agent = gamma, actions, max_parents, agent
         self._make_learner, self.compile = make_learner, compile
         self._reader = FactorReader(space, agent)
         self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
         self._rows: list[_Recorded] = []
-        self._previous = -1  # the action before in the same episode
+        self._previous = -1  # previous action in the same episode
         self._rates: Counter[float] = Counter()
         self._beliefs: list[Belief] = []
         self._rebuild()
 
     def _rebuild(self, rate: float = 0.0) -> None:
-        """Derive the model anew, because the factors or the usual rate have changed."""
-        self._packing: Packing | None = None  # at the first need: a Box's numbers are sorted out by then
+        """Derive the model again after the factors or the usual rate have changed."""
+        self._packing: Packing | None = None  # made at first use, when the factors of a Box are known
         self.learner = self._make_learner(self._reader.sizes, self._actions, self._max_parents, self._all_on)
         self.rate = rate
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None
         self.repeatable = np.ones(self._actions, dtype=np.bool_)
         self._tried: set[int] = set()
-        self._done: set[int] = set()  # and masked ever since
+        self._done: set[int] = set()  # actions that have been masked ever since they ran
         self._masked: set[tuple[bytes, int]] = set()
         for row in self._rows:
             self._learn(row)
@@ -258,7 +257,7 @@ class FactoredModel:
         self.learner.add(before, action, after, row.over, bonus)
 
     def _learn_mask(self, state: NDArray[np.int64], mask: NDArray[np.bool_], previous: int) -> None:
-        """Take in, once a state, that masked actions do nothing; one masked since it was done may just have worked."""
+        """Record, once per state, that masked actions have no effect, except those masked since they ran."""
         masked = (~mask).nonzero()[0].tolist()
         self._done = {action for action in masked if previous >= 0 and (action == previous or action in self._done)}
         for action in masked:
@@ -295,25 +294,25 @@ class FactoredModel:
 
     @property
     def is_empty(self) -> bool:
-        """Nothing was recorded yet."""
+        """True before the first record."""
         return not self._rows
 
     def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """Every hypothesis that the history does not contradict, small ones first."""
+        """Return every hypothesis that the history does not contradict, small ones first."""
         return self.learner.get_alive(action, outcome)
 
     def get_likeliest(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """The smallest hypothesis that the history does not contradict."""
+        """Return the smallest hypothesis that the history does not contradict."""
         return self.learner.get_alive(action, outcome)[:1]
 
     def make_belief(self, choose: ChooseHypotheses, visits: int) -> Belief:
-        """A compiled model that hears of everything recorded from now on; see `compile_action`."""
+        """Return a compiled model that everything recorded from now on updates; see `compile_action`."""
         belief = Belief(choose, visits)
         self._beliefs.append(belief)
         return belief
 
     def record(self, transition: SMDPTransition) -> None:
-        """Take in a decision; an option cut inside by truncation shows no outcome and is left out."""
+        """Record a decision. An option that truncation cut inside shows no outcome and is skipped."""
         previous = self._previous
         self._previous = -1 if transition.terminated or transition.truncated else transition.action
         if transition.cut:
@@ -340,7 +339,7 @@ class FactoredModel:
             self._rates[round(row.reward / row.duration, 9)] += 1
 
     def pack(self, observation: Any) -> int:
-        """The state as one word."""
+        """Return the state as one word."""
         return self.packing.pack(self._reader.read(self._reader.flatten(observation)))
 
     def search(self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
@@ -353,22 +352,22 @@ class FactoredModel:
                          most_nodes)
 
     def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Primitives of each action after each, in the last row from here, (actions + 1, actions); row after each."""
+        """Return primitives of actions after each other, the last row from here, (actions + 1, actions), and rows."""
         if self._durations is None:
             self._durations = fit_durations(self.list_durations(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))
         return self._durations.compute_durations(pose), self._durations.places
 
     def list_durations(self) -> DurationHistory:
-        """The last decisions, as far as durations are concerned."""
+        """Return the durations of the most recent decisions."""
         told = pack_columns(self._rows[-REMEMBERED_DECISIONS:], ("before", "action", "after", "duration", "previous"))
         starts, ends = (np.ascontiguousarray(self._reader.read_pose(told[name])) for name in ("before", "after"))
         return DurationHistory(starts, told["action"], ends, told["duration"].astype(np.float64), told["previous"])
 
     def find_graph(self, choose: ChooseHypotheses) -> frozenset[tuple[int, int]]:
-        """Edges (parent, child): some action puts the child up, and the parent is one of those that decide it.
+        """Return edges (parent, child): some action turns the child on, and the parent is among its conditions.
 
-        Numbers are those of the observation's components. A child's own value is no parent.
+        Numbers are indices of the observation's components. A child is not its own parent.
         """
         edges: set[tuple[int, int]] = set()
         for action in range(self._actions):
@@ -378,14 +377,14 @@ class FactoredModel:
                 hypothesis = int(choose(action, int(outcome))[0])
                 counts = self.learner.get_counts(action, hypothesis, int(outcome))
                 if self.learner.sizes[outcome] == 2 and not counts[:, 0, 1].any():
-                    continue  # it only ever goes off here
+                    continue  # it is only ever turned off here
                 child = int(self.components[outcome])
                 parents = (int(self.components[p]) for p in self.learner.hypotheses[hypothesis])
                 edges |= {(parent, child) for parent in parents if parent != child}
         return frozenset(edges)
 
     def state_dict(self) -> StateTree:
-        """Decisions in columns, in the order they were made; the model follows from them."""
+        """Return decisions in columns, in order. The model follows from them."""
         return {"rate": self.rate, "last": self._previous, **pack_columns(self._rows, _Recorded._fields)}
 
     def load_state_dict(self, state: StateTree) -> None:
@@ -404,7 +403,7 @@ class FactoredModel:
 
 
 class PlanningAgent(Agent):
-    """Base of agents that follow plans in a learned factored model.
+    """Base class of agents that follow plans in a learned factored model.
 
     Attributes:
         model: the history, and everything derived from it.
@@ -423,26 +422,26 @@ class PlanningAgent(Agent):
         self._is_exploring = self._is_planned = False
 
     def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> StructureLearner:
-        """The learner of structure, new."""
+        """Make the structure learner."""
         return StructureLearner(sizes, actions, max_parents, all_on)
 
     def compile_model(self, *arguments: Any) -> ActionModel:
-        """Model of an action, from the arguments of `compile_action`."""
+        """Return the model of an action, from the arguments of `compile_action`."""
         return compile_action(*arguments)
 
     @abstractmethod
     def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
-        """The plan to follow in training: to an open outcome, or to the end of the task."""
+        """Plan to follow in training: to an open outcome, or to the end of the task."""
 
     @abstractmethod
     def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
-        """The plan to the end of the task by what is known."""
+        """Plan to the end of the task from known outcomes."""
 
     def _search(self, belief: Belief, observation: Any, action_mask: NDArray[np.bool_], seek_gaps: bool) -> ModelPlan:
         return self.model.search(belief, observation, action_mask, seek_gaps, self.settings.most_nodes)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """The next step of the plan; without one, any legal action."""
+        """Return the next step of the plan, or a random legal action without one."""
         self._is_planned = False
         if self.model.is_empty:
             return sample_legal(action_mask, self._rng)
@@ -455,12 +454,12 @@ class PlanningAgent(Agent):
         return sample_legal(action_mask, self._rng) if action is None else action
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The first step to the end of the task; where no way is known, any legal action."""
+        """Return the first step to the end of the task, or a random legal action if no way is known."""
         plan = None if self.model.is_empty else self._find_escape(observation, action_mask)
         return plan.actions[0] if plan and plan.actions else sample_legal(action_mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Add to the history; the end of an episode drops the plan. `planned` is 0 of a choice by chance."""
+        """Add to the history; the end of an episode discards the plan. `planned` is 0 for a random choice."""
         self.model.record(transition)
         if transition.terminated or transition.truncated:
             self._pending.drop()

@@ -1,12 +1,12 @@
 """A learned factored model compiled into bit rules, and forward search in it: the best plan to an end or to a gap.
 
-A state is one 64-bit word, a field of bits for each factor. An action is a list of rules (where `state & care ==
-value`: clear, set and flip bits, end the task, earn a bonus) and of gaps (where it matches, the outcome is open).
-The caller chooses the hypotheses; nothing here learns.
+A state is one 64-bit word with a bit field per factor. An action is a list of rules (if `state & care == value`: clear,
+set and flip bits, end the task, earn a bonus) and of gaps (if it matches, the outcome is open). The caller chooses the
+hypotheses; this module does not learn.
 
-The search is A* over (state, place), where a place is the action that was just done: outcomes depend on the state
-alone, durations on the place. It maximises the discounted semi-Markov return with an upper bound as heuristic (Nilsson
-1980; SMDP backup of Sutton, Precup and Singh 1999), so states that no plan needs are never enumerated.
+The search is A* over (state, place), where the place is given by the previous action: outcomes depend on the state
+only, durations on the place. It maximises the discounted semi-Markov return with an upper bound as heuristic (Nilsson
+1980; SMDP backup of Sutton, Precup and Singh 1999). States that no plan needs are therefore never enumerated.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ MOST_BITS = 56
 """Bits of a state; a search keeps its place in the other eight."""
 
 ChooseHypotheses = Callable[[int, int], NDArray[np.int64]]
-"""(action, outcome) -> the hypotheses to go by; the first one predicts, a context that any has not met is a gap."""
+"""(action, outcome) -> hypotheses to believe. The first one predicts; a context new to any of them is a gap."""
 
 
 class Packing:
     """Bit layout of states: the position of each factor, and the pattern of each context of each hypothesis.
 
     Attributes:
-        shifts: (factors,), lowest bit of each.
-        masks: for each factor, all its bits.
-        wide: the bits of factors that have more than two values.
-        patterns: by hypothesis and context, the disjoint pairs (care, value) that make it up.
+        shifts: lowest bit of each factor, (factors,).
+        masks: all bits of each factor.
+        wide: bits of the factors with more than two values.
+        patterns: disjoint pairs (care, value) of each context of each hypothesis.
 
     Raises:
         UnsupportedSpaceError: the factors do not fit into a word.
@@ -72,14 +72,14 @@ class Packing:
         elif context == 0:
             every = sum(self.masks[parent] for parent in parents)
             yield every, every
-        else:  # the first that is off, those before it on
+        else:  # patterns where one parent is the first that is off
             on = 0
             for parent in parents:
                 yield on | self.masks[parent], on
                 on |= self.masks[parent]
 
     def pack(self, values: NDArray[np.int64]) -> int:
-        """One word for the values of the factors, (factors,)."""
+        """Return one word for the values of the factors, (factors,)."""
         return int((values << self.shifts).sum())
 
 
@@ -100,15 +100,15 @@ class ActionModel:
     """Believed effects of one action."""
 
     rules: tuple[Rule, ...]  # all that match apply
-    gaps: NDArray[np.uint64]  # uint64 (gaps, 2), pairs (care, value) where the outcome is open
+    gaps: NDArray[np.uint64]  # uint64 (gaps, 2), pairs (care, value) with an open outcome
 
 
 def compile_action(learner: StructureLearner, packing: Packing, action: int, choose: ChooseHypotheses,
                    bonuses: Sequence[float], visits: int) -> ActionModel:
-    """Turn chosen hypotheses into rules and gaps.
+    """Compile chosen hypotheses into rules and gaps.
 
-    An action that has never changed anything has no rules; all hypotheses of `choose(action, over)` then
-    say where it was tried.
+    An action that has never changed anything has no rules; all hypotheses of `choose(action, over)` then define where
+    it was tried.
     """
     active = learner.list_active(action)
     found: dict[tuple[int, int], list] = {}
@@ -129,7 +129,7 @@ def compile_action(learner: StructureLearner, packing: Packing, action: int, cho
 
 def _find_disputes(learner: StructureLearner, packing: Packing, action: int, chosen: NDArray[np.int64], outcome: int
                    ) -> Iterator[tuple[int, int]]:
-    """Patterns of states in which the first hypothesis and another one predict different outcomes."""
+    """Patterns of states where the first hypothesis and another one predict different outcomes."""
     samples = learner.get_samples(action, chosen, outcome)  # (hypotheses, contexts, own, values)
     says, speaks = np.asarray(samples.argmax(axis=-1)), np.asarray(samples.any(axis=-1))
     differ = (says[1:, None] != says[0][:, None]) & speaks[1:, None] & speaks[0][:, None]
@@ -157,7 +157,7 @@ def _add_rules(found: dict[tuple[int, int], list], learner: StructureLearner, pa
             elif outcome == learner.bonus:
                 effect[4] = bonuses[int(cell[0].argmax())]
             elif learner.sizes[outcome] == 2:
-                after = [int(row.argmax()) if row.any() else own for own, row in enumerate(cell)]  # untried: it stays
+                after = [int(row.argmax()) if row.any() else own for own, row in enumerate(cell)]  # untried: no change
                 if after != [0, 1]:
                     effect[[[0, 0], [1, 1], [1, 0]].index(after)] |= packing.masks[outcome]
             else:
@@ -166,10 +166,10 @@ def _add_rules(found: dict[tuple[int, int], list], learner: StructureLearner, pa
 
 
 def find_relevant(models: Sequence[ActionModel], wide: int, with_gaps: bool) -> NDArray[np.bool_]:
-    """Actions that can bear on ending the task or earning a bonus, bool (actions,): a backward closure.
+    """Return the actions that can contribute to ending the task or earning a bonus, bool (actions,).
 
-    With gaps, what has to be arranged to fill a relevant action's gaps is relevant too. All are, as long as no rule
-    ends the task or earns anything.
+    This is a backward closure. With gaps, actions that help to fill a relevant action's gaps are relevant too. All
+    actions are relevant while no rule ends the task or earns a bonus.
     """
     relevant = np.zeros(len(models), dtype=np.bool_)
     rules = [(action, rule) for action, model in enumerate(models) for rule in model.rules]
@@ -213,13 +213,13 @@ class SearchTables(NamedTuple):
 class ModelPlan(NamedTuple):
     """Result of a search."""
 
-    actions: tuple[int, ...]  # in order; empty if nothing was found
-    states: tuple[int, ...]  # the packed state in which each action is to be taken
-    value: float  # discounted return expected; -inf if nothing was found
+    actions: tuple[int, ...]  # actions in order; empty if the search found nothing
+    states: tuple[int, ...]  # packed state before each action
+    value: float  # expected discounted return; -inf if the search found nothing
 
 
 def make_tables(models: Sequence[ActionModel]) -> SearchTables:
-    """Arrays of the models of all actions."""
+    """Return the models of all actions as arrays."""
     rules = [rule for model in models for rule in model.rules]
     return SearchTables(
         np.array([rule[:5] for rule in rules], dtype=np.uint64).reshape(-1, 5),
@@ -249,17 +249,17 @@ def find_plan(
 
     Args:
         tables: the model.
-        state: packed.
-        legal: bool (actions,), actions that may be the first.
-        repeatable: bool (actions,), actions that may follow themselves.
-        relevant: bool (actions,), actions that may be taken at all.
-        durations: (actions + 1, actions), primitives from the place an action leaves; the last row: from here.
-        places: (actions,), the row of `durations` that holds after each action.
+        state: packed initial state.
+        legal: possible first actions, bool (actions,).
+        repeatable: actions that may follow themselves, bool (actions,).
+        relevant: actions that plans may contain, bool (actions,).
+        durations: primitives from each action's place, and in the last row from here, (actions + 1, actions).
+        places: row of `durations` after each action, (actions,).
         rate: usual reward of a primitive.
         gamma: discount per primitive.
-        bonus: upper bound of a single bonus, 0 or more.
-        seek_gaps: seek the soonest action with an open outcome, not the best known end.
-        most_nodes: bound on expanded states.
+        bonus: upper bound of a single bonus, at least 0.
+        seek_gaps: whether to seek the soonest action with an open outcome, instead of the best known end.
+        most_nodes: largest number of expanded states.
     """
     found, actions, states, value = _search(*tables, np.uint64(state), legal, repeatable, relevant, durations, places,
                                             -1.0 if seek_gaps else rate, gamma, 0.0 if seek_gaps else bonus, seek_gaps,
@@ -280,14 +280,14 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
             rate, gamma, bonus, seek_gaps, most_nodes):  # fmt: skip
     actions = len(legal)
     worst = min(rate, 0.0) / (1.0 - gamma) if gamma < 1.0 else -1e12
-    lows = Dict.empty(uint64, float64)  # of each expanded state and place, the value if nothing but waiting follows
+    lows = Dict.empty(uint64, float64)  # value of each expanded state and place if only waiting follows
     goal = -1
     state_of, place_of, gain_of, discount_of, parent_of, action_of = [root], [actions], [0.0], [1.0], [-1], [-1]
     heap = [(-bonus, 0)]
     while len(heap) > 0:
         _, node = heapq.heappop(heap)
         state, place, gain, discount = state_of[node], place_of[node], gain_of[node], discount_of[node]
-        if place < 0:  # an end, popped with its exact value: nothing better is left
+        if place < 0:  # an end, popped with its exact value, which no open node exceeds
             goal = node
             break
         key = state << np.uint64(8) | np.uint64(place)

@@ -1,14 +1,14 @@
-"""Structure learning: the factors that decide each outcome of an action, found from (s, a, s') histories.
+"""Structure learning: the factors that decide each outcome of an action, from (s, a, s') histories.
 
-One dynamic Bayesian network an action (Dean and Kanazawa 1989), its parents found as SLF-R-MAX does (Strehl, Diuk
-and Littman 2007): every set of at most `max_parents` factors is a hypothesis, counted in all its contexts. Two priors
-make few samples enough: outcomes are functions of the parents (a set that explains more of the history beats one
-that explains less; among equals the smaller), and an action is not suspected of effects that it has never shown.
-A bit's own value is always among its parents and is not counted as one.
+Each action has one dynamic Bayesian network (Dean and Kanazawa 1989), whose parents are found as in SLF-R-MAX (Strehl,
+Diuk and Littman 2007): every set of at most `max_parents` factors is a hypothesis, counted in all its contexts. Two
+priors reduce the number of samples. Outcomes are functions of the parents: a set that explains more of the history
+beats one that explains less, and among equals the smaller set wins. An action has no effects that it has never shown. A
+bit's own value is always among its parents and does not count as one.
 
-`GrowingSets` is the short cut of `vigorito-barto`. What decision trees do leaf by leaf (`trees.py`), it does set by
-set: a set takes in one more parent where the history justifies the parameters it adds, by the Bayesian information
-criterion (Schwarz 1978). So contexts are tried one variable further, where others try every set.
+`GrowingSets` is the approximation of `vigorito-barto`. Decision trees grow leaf by leaf (`trees.py`); it grows set by
+set: a set adds one more parent if the history justifies the additional parameters, by the Bayesian information
+criterion (Schwarz 1978). Contexts are therefore tried one variable further, instead of in every set.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 LEVELS = 8
-"""Most levels of the end bonus that are told apart."""
+"""Most levels of the end bonus that are distinguished."""
 
 
 class StructureLearner:
     """Counts contexts and outcomes for every action, outcome and set of parents.
 
-    Outcomes are numbered: first the factors (their next value), then `over` (1 if the task ended) and `bonus`
-    (a level of reward, 0 for the usual one).
+    Outcomes are numbered: first the factors (their next value), then `over` (1 if the task ended) and `bonus` (a level
+    of reward, 0 for the usual one).
 
     Args:
-        sizes: (factors,), values of each factor.
-        all_on: a set has two contexts only, all of its bits on (0) and not (1), instead of one for each combination
-            of their values.
+        sizes: number of values of each factor, (factors,).
+        all_on: whether a set has only two contexts, all of its bits on (0) and not all on (1), instead of one for each
+            combination of values.
 
     Attributes:
         hypotheses: sets of parents as sorted tuples of factors, small ones first.
-        context_counts: int64 (hypotheses,), contexts of each.
+        context_counts: number of contexts of each, int64 (hypotheses,).
         over: number of that outcome.
         bonus: number of that outcome.
     """
@@ -69,7 +69,7 @@ class StructureLearner:
         self._active = np.zeros((actions, factors + 2), dtype=np.bool_)
 
     def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
-        """Take in one transition between factors, (factors,); `bonus` is a level of reward, below `LEVELS`."""
+        """Add one transition between factors, (factors,); `bonus` is a level of reward, below `LEVELS`."""
         if action not in self._counts:
             self._counts[action] = np.zeros(self._shape, dtype=np.int32)
         counts = self._counts[action]
@@ -78,29 +78,29 @@ class StructureLearner:
         cells = counts[self._rows, contexts, self._outcomes, own]  # (hypotheses, outcomes, values)
         best = cells.max(axis=2)
         landed = cells[self._rows, self._outcomes, result]
-        self._errors[action] += landed < best  # against what most in its cell did
+        self._errors[action] += landed < best  # results other than the most frequent of the cell
         counts[self._rows, contexts, self._outcomes, own, result] += 1
         changed = np.concatenate([after != before, [over, bonus != 0]])
         self._active[action] |= changed
 
     def read_sample(self, before: NDArray[np.int64], after: NDArray[np.int64], over: bool, bonus: int
                     ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Context of each hypothesis, (hypotheses,); own value and result of each outcome, (outcomes,) each."""
+        """Return context of each hypothesis, (hypotheses,), and own value and result of each outcome, (outcomes,)."""
         own = np.concatenate([np.where(self._is_bit, before, 0), [0, 0]])
         result = np.concatenate([after, [int(over), bonus]])
         sums = self._strides @ before
         return (sums < self._set_sizes).astype(np.int64) if self.all_on else sums, own, result
 
     def list_active(self, action: int) -> NDArray[np.int64]:
-        """Outcomes that this action has been seen to change."""
+        """Return the outcomes that this action has been seen to change."""
         return self._active[action].nonzero()[0]
 
     def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """Hypotheses that contradict the history least, small ones first.
+        """Return the hypotheses that contradict the history least, small ones first.
 
-        If some set explains everything that the action does to factors as well as sets of their own would explain
-        each, only such sets are alive: what decides one outcome of an action decides the others. The same holds
-        for the task's end and the bonus, apart from factors.
+        If one set explains everything that the action does to factors as well as separate sets would, only such sets
+        are returned, because one outcome of an action usually has the same conditions as the others. The same applies
+        to the task's end and the bonus, separately from factors.
         """
         active = self._active[action]
         if active[outcome]:
@@ -112,26 +112,26 @@ class StructureLearner:
         return (errors == errors.min()).nonzero()[0]
 
     def count_samples(self, action: int) -> int:
-        """Number of samples of an action."""
+        """Return the number of samples of an action."""
         return int(self._counts[action][0, 0, self.over].sum()) if action in self._counts else 0
 
     def get_errors(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """Number of samples that each hypothesis leaves unexplained, (hypotheses,)."""
+        """Return the number of samples that each hypothesis leaves unexplained, (hypotheses,)."""
         return self._errors[action, :, outcome]
 
     def get_samples(self, action: int, hypotheses: NDArray[np.int64], outcome: int) -> NDArray[np.int32]:
-        """`get_counts` of several hypotheses, (hypotheses, contexts, 2, values); the action was seen."""
+        """Return `get_counts` of several hypotheses, (hypotheses, contexts, 2, values), for an action with samples."""
         return self._counts[action][hypotheses, :, outcome]
 
     def get_counts(self, action: int, hypothesis: int, outcome: int) -> NDArray[np.int32]:
-        """Samples by context, own value (0 where the factor is no bit) and result, (contexts, 2, values)."""
+        """Return samples by context, own value (0 if the factor is not binary) and result, (contexts, 2, values)."""
         contexts = self.context_counts[hypothesis]
         if action not in self._counts:
             return np.zeros((contexts, *self._shape[3:]), dtype=np.int32)
         return self._counts[action][hypothesis, :contexts, outcome]
 
     def find_unseen(self, action: int, hypotheses: NDArray[np.int64], visits: int) -> list[tuple[int, int]]:
-        """Pairs (hypothesis, context) met less than `visits` times with this action."""
+        """Return pairs (hypothesis, context) with fewer than `visits` samples of this action."""
         if action not in self._counts:
             return [(0, 0)]
         seen = self._counts[action][hypotheses, :, self.over].sum(axis=(2, 3))
@@ -141,32 +141,32 @@ class StructureLearner:
 
 
 STRONG = 3.0
-"""Logarithm of a likelihood ratio that is strong evidence (Kass and Raftery 1995)."""
+"""Logarithm of a likelihood ratio that counts as strong evidence (Kass and Raftery 1995)."""
 
 
 class GrowingSets(StructureLearner):
-    """Believes, for each outcome of an action, the set that grew from the empty one.
+    """Believes, for each outcome of an action, the set grown from the empty set.
 
-    In every step the present set h takes in or drops the parent whose change raises the most
+    In every step the current set h adds or drops the parent whose change raises the criterion the most,
 
         BIC(h) = sum over contexts, own values and results of n log(n / n of the context) - parameters / 2 x log n
 
-    until none raises it; of equals the smallest set is taken.
+    until no change raises it. Among equal sets the smallest is taken.
     """
 
     @cached_property
     def _alive(self) -> dict[int, dict[int, NDArray[np.int64]]]:
-        """Results of `get_alive` by action and outcome, until the action's next sample."""
+        """Results of `get_alive` by action and outcome, valid until the action's next sample."""
         return {}
 
     def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
-        """Take in one transition; what is believed of its action is then found anew."""
+        """Add one transition; the beliefs about its action are then computed again."""
         super().add(before, action, after, over, bonus)
         self._alive.pop(action, None)
 
     @cached_property
     def _neighbours(self) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
-        """Of each hypothesis, those that have one parent more, and those that have one less."""
+        """Hypotheses with one more parent than each, and with one less."""
         numbers = {parents: number for number, parents in enumerate(self.hypotheses)}
         larger: list[list[int]] = [[] for _ in numbers]
         smaller: list[list[int]] = [[] for _ in numbers]
@@ -178,14 +178,14 @@ class GrowingSets(StructureLearner):
         return [np.array(each, np.int64) for each in larger], [np.array(each, np.int64) for each in smaller]
 
     def compute_likelihoods(self, action: int, outcome: int, hypotheses: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Maximum log likelihood of hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
+        """Return the maximum log likelihood of hypotheses about an observed outcome, nats, (hypotheses,)."""
         counts = self.get_samples(action, hypotheses, outcome).astype(np.float64)  # (hypotheses, contexts, own, values)
         totals = counts.sum(axis=3, keepdims=True)
         shares = np.divide(counts, totals, out=np.ones_like(counts), where=counts > 0)
         return (counts * np.log(shares)).sum(axis=(1, 2, 3))
 
     def compute_criteria(self, action: int, outcome: int, hypotheses: NDArray[np.int64]) -> NDArray[np.float64]:
-        """BIC of some hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
+        """Return the BIC of hypotheses about an observed outcome, nats, (hypotheses,)."""
         likelihood = self.compute_likelihoods(action, outcome, hypotheses)
         own = 2 if outcome < self.over and self.sizes[outcome] == 2 else 1
         values = self.sizes[outcome] if outcome < self.over else 2
@@ -193,7 +193,7 @@ class GrowingSets(StructureLearner):
         return likelihood - parameters / 2 * np.log(max(self.count_samples(action), 1))
 
     def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """The set that is believed, then those with one parent more that do not explain the history much worse."""
+        """Return the believed set, then sets with one more parent that explain the history almost as well."""
         alive = self._alive.setdefault(action, {})
         if outcome not in alive:
             alive[outcome] = self._grow(action, outcome)

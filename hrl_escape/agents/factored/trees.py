@@ -1,9 +1,9 @@
 """Dynamic Bayesian networks whose conditional probabilities are decision trees, split leaf by leaf.
 
-One tree an action and outcome, as Vigorito and Barto (2010) learn them after Jonsson and Barto (2007). A leaf is a
-context: some bits on, some off. A bit's own value is the first split of its tree; further ones must earn their
-parameters by the Bayesian information criterion (Schwarz 1978). A sample of an action is worth what it is expected to
-tell about the leaves it falls into. For factors that are all bits.
+There is one tree per action and outcome, as in Vigorito and Barto (2010), after Jonsson and Barto (2007). A leaf is a
+context: some bits on, some off. A bit's own value is the first split of its tree. Further splits must justify their
+parameters by the Bayesian information criterion (Schwarz 1978). A sample of an action is worth its expected information
+about the leaves that it falls into. All factors must be binary.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from hrl_escape.agents.factored.search import ActionModel, ChooseHypotheses, Pac
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 
 GROWTH = 1.2
-"""Trees of an action are grown anew each time that its samples have become so many times as many."""
+"""Growth of an action's number of samples that makes its trees grow again."""
 
 
 def compute_information(counts: NDArray[np.int64], values: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Information, nats, that the next sample is expected to give about the distribution it is drawn from, (...).
+    """Return the expected information, nats, of the next sample about its distribution, (...).
 
-    With a Dirichlet distribution a of parameters counts + 1/2 (Jeffreys 1946), of sum A and mean p = a / A,
+    For a Dirichlet distribution with parameters a = counts + 1/2 (Jeffreys 1946), of sum A and mean p = a / A,
 
         H(p) - E[H] = sum_v p_v (psi(a_v + 1) - psi(A + 1)) - sum_v p_v log p_v
 
-    Counts of each value so far are (..., most values); `values` is how many there can be, (...).
+    `counts` of each value so far are (..., most values); `values` is the number of possible values, (...).
     """
     weights = np.where(np.arange(counts.shape[-1]) < values[..., None], counts + 0.5, 0.0)
     total = weights.sum(axis=-1, keepdims=True)
@@ -38,12 +38,13 @@ def compute_information(counts: NDArray[np.int64], values: NDArray[np.int64]) ->
 
 
 def find_split(on: NDArray[np.bool_], results: NDArray[np.int64], samples: int, evidence: float) -> int | None:
-    """The bit by which the samples of a leaf are told apart best, if that is worth a split.
+    """Return the bit that separates the samples of a leaf best, or None if no split is worth its parameters.
 
-    The bits before, `on`, are (n, factors), the results (n,), below `LEVELS`; `samples` are those of the whole tree.
+    The bits before the action, `on`, are (n, factors); the results are (n,), below `LEVELS`; `samples` is the number of
+    samples of the whole tree.
 
-    A split raises the log likelihood of the results by their number times their mutual information with the bit, and
-    the criterion by that less parameters / 2 x log(samples). The rise must be larger than `evidence`.
+    A split raises the log likelihood of the results by their number times their mutual information with the bit. It
+    raises the criterion by that minus parameters / 2 x log(samples), which must be larger than `evidence`.
     """
     found = (results[:, None] == np.arange(LEVELS)).astype(np.float64)
     total = found.sum(axis=0)
@@ -60,27 +61,27 @@ def find_split(on: NDArray[np.bool_], results: NDArray[np.int64], samples: int, 
 
 
 def find_falls(literals: NDArray[np.bool_], paths: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """True where a state, (n, literals), falls into a leaf, (leaves, literals); bool (n, leaves)."""
+    """Return whether each state, (n, literals), falls into each leaf, (leaves, literals); bool (n, leaves)."""
     return ~literals @ paths.T == 0
 
 
 @dataclass
 class Leaves:
-    """Leaves of all trees of an action. Literal f says that factor f is on, literal factors + f that it is off.
+    """Leaves of all trees of an action. Literal f means that factor f is on, literal factors + f that it is off.
 
-    Outcomes that the action has never changed share the first leaf, as if each had a tree of that leaf alone.
+    Outcomes that the action has never changed share the first leaf, as if each had a tree with only that leaf.
     """
 
-    outcomes: NDArray[np.int64]  # int64 (leaves,), the outcome that the tree is of; -1 for the shared leaf
-    paths: NDArray[np.float32]  # float32 (leaves, literals), 1 where the leaf asks for the literal
-    counts: NDArray[np.int64]  # int64 (leaves, literals, LEVELS), samples in which the literal held, by result
+    outcomes: NDArray[np.int64]  # int64 (leaves,), outcome of the leaf's tree; -1 for the shared leaf
+    paths: NDArray[np.float32]  # float32 (leaves, literals), 1 for literals that the leaf requires
+    counts: NDArray[np.int64]  # int64 (leaves, literals, LEVELS), samples with the literal true, by result
     totals: NDArray[np.int64]  # int64 (leaves, LEVELS), samples by result
     gains: NDArray[np.float32]
-    """Float32 (leaves, literals), information expected of a sample in which the literal holds; see
+    """Expected information of a sample with the literal true, float32 (leaves, literals); see
     `TreeLearner.compute_gains`."""
 
     def add(self, literals: NDArray[np.bool_], results: NDArray[np.int64]) -> None:
-        """Count samples, literals (n, literals) and results (n, outcomes + 1), last those of the shared leaf."""
+        """Count samples: literals (n, literals) and results (n, outcomes + 1), the last for the shared leaf."""
         falls, found = find_falls(literals, self.paths), results[:, self.outcomes]
         for value in np.unique(found).tolist():
             hit = (falls & (found == value)).T
@@ -92,22 +93,22 @@ class TreeLearner(StructureLearner):
     """Grows a decision tree for each action and each outcome that the action was seen to change.
 
     Args:
-        sizes: (factors,), all 2.
-        evidence: nats by which a split must raise the criterion.
+        sizes: number of values of each factor, (factors,), all 2.
+        evidence: smallest increase of the criterion for a split, nats.
     """
 
     def __init__(self, sizes: NDArray[np.int64], actions: int, evidence: float) -> None:
         super().__init__(sizes, actions, 0)
         self._evidence, self._factors = evidence, len(sizes)
-        self._values = np.r_[np.full(self._factors + 1, 2), LEVELS, 2]  # of outcomes, and of the shared leaf
+        self._values = np.r_[np.full(self._factors + 1, 2), LEVELS, 2]  # of each outcome, and of the shared leaf
         self._literals: list[list[NDArray[np.bool_]]] = [[] for _ in range(actions)]
         self._results: list[list[NDArray[np.int64]]] = [[] for _ in range(actions)]
         self._due = [0] * actions
-        """Samples of each action at which its trees are grown anew."""
+        """Number of samples of each action that makes its trees grow again."""
         self._leaves = [self._grow(action) for action in range(actions)]
 
     def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
-        """Take in one transition; where the action does something new, or has been seen often, trees grow anew."""
+        """Add one transition. A new effect, or enough new samples, make trees grow again."""
         active = self._active[action].copy()
         super().add(before, action, after, over, bonus)
         on = before.astype(np.bool_)
@@ -122,7 +123,6 @@ class TreeLearner(StructureLearner):
             self._measure(action, leaves, find_falls(literals[None], leaves.paths)[0].nonzero()[0], literals)
 
     def _grow(self, action: int) -> Leaves:
-        """Trees of an action from all of its samples."""
         count, width = len(self._results[action]), 2 * self._factors
         self._due[action] = int(np.ceil(count * GROWTH)) + 1
         literals = np.array(self._literals[action], np.bool_).reshape(count, width)
@@ -166,11 +166,12 @@ class TreeLearner(StructureLearner):
         leaves.gains[rows[:, None], columns] = information
 
     def compute_gains(self, states: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Information, nats, expected of each action, (states, actions), in states given by their factors that are on.
+        """Return the expected information, nats, of each action in states, given by factors that are on.
 
-        Summed over outcomes. Any factor could be the next split of the leaf that the state falls into, and the sample
-        would tell something of the distribution among the leaf's samples that agree with the state in that factor. The
-        factor counts of which it tells most: as a rule the one whose value has been rarest in the leaf.
+        The result is (states, actions), summed over outcomes. Any factor could be the next split of the leaf that a
+        state falls into. The sample would then carry information about the distribution among the leaf's samples that
+        agree with the state in that factor. The factor with the most information counts: usually the one with the
+        rarest value in the leaf.
         """
         paths = np.concatenate([leaves.paths for leaves in self._leaves])
         gains = np.concatenate([leaves.gains for leaves in self._leaves])
@@ -183,17 +184,17 @@ class TreeLearner(StructureLearner):
         return summed.reshape(len(states), self.actions)
 
     def get_leaves(self, action: int) -> Leaves:
-        """Leaves of all trees of an action."""
+        """Return the leaves of all trees of an action."""
         return self._leaves[action]
 
     def list_changes(self, action: int) -> NDArray[np.int64]:
-        """Leaves in which an action most often turns the tree's bit on or off."""
+        """Return the leaves where an action most often turns the tree's bit on or off."""
         leaves = self._leaves[action]
         rows = np.flatnonzero((leaves.outcomes >= 0) & (leaves.outcomes < self.over) & leaves.totals.any(axis=1))
         return rows[leaves.paths[rows, leaves.outcomes[rows]] != leaves.totals[rows].argmax(axis=1)]
 
     def find_parents(self, action: int, outcome: int, own: int | None = None) -> frozenset[int]:
-        """Factors that an outcome's tree splits by beside its own value, where its bit is off (0), on (1) or either."""
+        """Return the factors that an outcome's tree splits by, without its own value; for an off (0) or on (1) bit."""
         leaves = self._leaves[action]
         rows = leaves.outcomes == outcome
         if own is not None:
@@ -204,9 +205,9 @@ class TreeLearner(StructureLearner):
 
 def compile_trees(learner: TreeLearner, packing: Packing, action: int, choose: ChooseHypotheses,
                   bonuses: Sequence[float], visits: int) -> ActionModel:
-    """Rules of the leaves in which an action most often changes something, known by `visits` samples; without gaps.
+    """Return rules of the leaves where an action most often changes something, known from `visits` samples.
 
-    Arguments are those of `compile_action`; hypotheses there are none.
+    Arguments as in `compile_action`; without hypotheses and gaps.
     """
     leaves = learner.get_leaves(action)
     on, off = np.hsplit(leaves.paths.astype(np.int64), 2)

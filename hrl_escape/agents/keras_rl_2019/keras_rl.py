@@ -1,4 +1,4 @@
-"""Behaviour of keras-rl 0.4.2 that the papers of its algorithms do not have, as the published results contain it."""
+"""Behaviour of keras-rl 0.4.2 that differs from the papers of its algorithms, as the published results contain it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hrl_escape.agents.state import Kept, Stateful
 class LateTerminal(Stateful):
     """The early end flag of its SARSAAgent: delays each experience, and moves the episode's end one decision forward.
 
-    The last decision but one is valued as if nothing followed, and the last bootstraps even from a terminal state.
+    The second to last decision is valued as if it were terminal, and the last bootstraps even from a terminal state.
     """
 
     STATE = (Kept("_waiting", pack=lambda one: {name: np.asarray(field) for name, field in one._asdict().items()},
@@ -28,9 +28,9 @@ class LateTerminal(Stateful):
         self._waiting: Experience | None = None
 
     def push(self, experience: Experience, batch: Decisions, settings: Any) -> list[tuple[Experience, int | None]]:
-        """Take in one decision and its backup, both as batches; returns what is to be learned now.
+        """Store one decision and its backup, both as batches; return what to learn now.
 
-        That are pairs of an experience and the action to bootstrap from; None where no action was taken there.
+        The result has pairs of an experience and the action to bootstrap from, or None if no action followed.
         """
         no, is_over = np.zeros(1, np.bool_), bool(batch.terminated[0] or batch.truncated[0])
         _, factor = compute_backup(batch._replace(terminated=no, truncated=no), settings)
@@ -49,21 +49,21 @@ class LateTerminal(Stateful):
 class LinearRelaxation:
     """The linear relaxation of discrete actions by its DDPGAgent: the vector of an action is the actor's output.
 
-    So the critic sees unbounded outputs, noise included, in place of the action that ran.
+    The input of the critic is therefore the unbounded output, with noise, instead of the executed action.
     """
 
     def encode(self, outputs: NDArray[np.float32], action: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Vectors that replay keeps: the outputs (n, actions) that led to the actions (n,)."""
+        """Return the vectors for replay: the outputs (n, actions) that led to the actions (n,)."""
         del action
         return outputs
 
     def relax(self, outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-        """The vectors that the critic sees for an actor's outputs (batch, actions): the outputs, legal or not."""
+        """Return the critic's input for an actor's outputs (batch, actions): the outputs, legal or not."""
         del mask
         return outputs
 
     def compute_actor_loss(self, critic: Callable[[torch.Tensor], torch.Tensor], observation: torch.Tensor,
                            outputs: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-        """Minus the mean of Q(s, mu(s))."""
+        """Return minus the mean of Q(s, mu(s))."""
         del mask
         return -critic(torch.cat((observation, outputs), dim=1)).mean()

@@ -1,7 +1,7 @@
 """The named settings `keras-rl-2019`: each agent as keras-rl 0.4.2 and the published 2019 program ran it.
 
-An entry lists the changes to the agent's recommended settings. A name with the prefix `smdp-` has an entry of its own
-where the program had other layer widths with meta-actions on.
+An entry lists the changes to the agent's recommended settings. Names with the prefix `smdp-` have their own entry if
+the code used other layer widths with meta-actions.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 _DECISIONS: dict[str, Any] = {"discounting": "decision", "bootstrap_on_truncation": False}
-"""One gamma a decision, the plain sum of rewards, truncation taken for termination."""
+"""One gamma per decision, the plain sum of rewards, and truncation treated as termination."""
 
 _KERAS: dict[str, Any] = {
     **_DECISIONS,
@@ -75,4 +75,4 @@ CHANGES: Mapping[str, Mapping[str, Any]] = {
     "smdp-ddpg": {**_DDPG, "hidden": (4, 4, 4)},
     "ppo": _DECISIONS,
 }
-"""Agent -> changes to its recommended settings; agents without an entry have no such recipe."""
+"""Agent -> changes to its recommended settings; other agents have no such recipe."""

@@ -1,8 +1,8 @@
-"""Bases of robots: the outline on the floor, in numbers and in tensors, one file each.
+"""Bases of robots: outlines on the floor, in numbers and in tensors, one file each.
 
-No other module depends on a robot's shape: rules, engines, certificate and planners ask its `Base` where it fits,
-what it meets first and what blocks its turns. A new base is one file and one call of `bases.register`, or an entry
-point in the group `hrl_escape.bases`.
+No other module depends on a robot's shape. Rules, engines, certificate and planners use its `Base` to compute where it
+fits, what it meets first and what blocks its turns. A new base is one file and one call of `bases.register`, or an
+entry point in the group `hrl_escape.bases`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A disc: it meets a footprint where its axis enters the footprint grown by its radius, and turns anywhere."""
+"""A disc: contact is where its axis enters a footprint grown by its radius, and it can always turn."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
 
 def compute_disc_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], dx: float, dy: float,
                          shape: Footprint) -> float:
-    """Fraction of a displacement until the disc meets the footprint; arguments and value as in `Base.contact`."""
+    """Return the fraction of a displacement until the disc meets the footprint, as in `Base.contact`."""
     return compute_first_contact(x, y, dx, dy, size[0], shape)
 
 
 def measure_disc_gap(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], shape: Footprint) -> float:
-    """Signed gap to the footprint, m: negative where they overlap; arguments as in `Base.gap`."""
+    """Return the signed gap to the footprint, m: negative if they overlap, as in `Base.gap`."""
     return compute_distance(x, y, shape) - size[0]
 
 
 def compute_disc_distance(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], shape: Footprint
                           ) -> float:
-    """Distance to the footprint, m: 0 where they overlap; arguments as in `Base.distance`."""
+    """Return the distance to the footprint, m: 0 if they overlap, as in `Base.distance`."""
     return max(compute_distance(x, y, shape) - size[0], 0.0)
 
 
 def does_disc_turn_meet(x: float, y: float, cos: float, sin: float, to_cos: float, to_sin: float, turn: float,
                         size: tuple[float, ...], shape: Footprint) -> bool:
-    """Always false: a disc covers the same floor at every heading; arguments as in `Base.blocks_turn`."""
+    """Return false: the outline of a disc is the same at every heading. Arguments as in `Base.blocks_turn`."""
     return False
 
 
 class Disc(Base):
-    """A disc round the axis; `size` is its radius."""
+    """A disc around the axis; `size` is its radius."""
 
     turns_anywhere = True
     front_field = width_field = "body_radius"
@@ -51,32 +51,32 @@ class Disc(Base):
 
     @classmethod
     def measure(cls, robot: Any) -> Self:
-        """The base of a `RobotConfig`, without clearance."""
+        """Return the base of a `RobotConfig`, without clearance."""
         return cls((robot.body_radius,))
 
     @property
     def outer_radius(self) -> float:
-        """Radius of the disc, m: its outline is its own bounding circle."""
+        """Radius of the disc, m."""
         return self.size[0]
 
     @property
     def inner_radius(self) -> float:
-        """Radius of the disc, m: its outline is its own largest inner circle."""
+        """Radius of the disc, m."""
         return self.size[0]
 
     @property
     def front(self) -> float:
-        """Distance from the axis to the rim ahead, m: the radius."""
+        """Radius of the disc, m."""
         return self.size[0]
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Empty: a disc has no corners."""
+        """Empty: discs have no corners."""
         return ()
 
     def find_free_fraction(self, x: float, y: float, rotation: tuple[float, float], dx: float, dy: float,
                            shapes: Iterable[Footprint]) -> float:
-        """Share in [0, 1] of a displacement until the first contact with any of some footprints."""
+        """Return the fraction, in [0, 1], of a displacement before the first contact with any footprint."""
         radius, least = self.size[0], 1.0
         for shape in shapes:
             met = compute_first_contact(x, y, dx, dy, radius, shape)
@@ -89,7 +89,7 @@ class Disc(Base):
         return compute_distance(x, y, shape) < self.size[0] - STANDS_IN
 
     def describe(self) -> str:
-        """Describe shape and radius in words, for messages."""
+        """Return shape and radius in words, for messages."""
         return f"a body of radius {self.size[0]:g} m"
 
     def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
@@ -97,7 +97,7 @@ class Disc(Base):
         return make_cylinder_link(name, mass, self.size[0], height, f"0 0 {height / 2!r}", "0 0 0")
 
     def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorBase:
-        """Place the disc in each room of a batch; the heading does not matter."""
+        """Place the disc in each room of a batch; its heading has no effect."""
         return _TensorDisc(x, y, self.size[0])
 
 
@@ -106,11 +106,11 @@ class _TensorDisc(NamedTuple):
 
     x: Tensor  # centre, m, float64 (rooms,)
     y: Tensor  # centre, m, float64 (rooms,)
-    radius: float  # the same in all rooms, m
+    radius: float  # equal in all rooms, m
 
     def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
-        # The first solid is found in single precision; the contact with it is computed again in double, so that
-        # rounding does not grow from contact to contact.
+        # Single precision finds the first solid. The contact with it is computed again in double precision, because
+        # rounding errors would otherwise accumulate from contact to contact.
         import torch
 
         from hrl_escape.env.tensor_geometry import compute_first_contact, refine_first_contact, store
@@ -123,7 +123,7 @@ class _TensorDisc(NamedTuple):
         nearly = torch.relu(nearly).to(torch.float64)
         exactly = refine_first_contact(*motion, solids.gather(which), nearly)[0].clamp(0.0, 1.0)
         exactly = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)
-        return store(torch.where(nearly < 1.0, exactly, nearly))  # it passes one solid and may still meet another
+        return store(torch.where(nearly < 1.0, exactly, nearly))  # it can pass one solid and still meet another
 
     def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
         from hrl_escape.env.tensor_geometry import compute_first_contact

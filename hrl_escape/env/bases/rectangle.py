@@ -1,13 +1,16 @@
 """A rectangle: exact first contact, gaps and turns among boxes and cylinders.
 
-A translating rectangle meets a box where its axis enters the polygon that both span (their Minkowski sum,
-whose sides are perpendicular to the four axes of the two), and a cylinder where its axis enters the rectangle grown
-by the cylinder's radius. A rectangle that turns about its axis covers its first and its last place and the four
-sectors that its corners sweep. Where a convex solid meets neither place, it meets a sector exactly if its point
-nearest to the axis does: from any other of its points in the sector a straight line leads to that one within the
-circle of the corners, and could leave the sector only across a half diagonal of the first or last place. So turns are
-decided in closed form too, for any angle. In tensors everything is double precision: a base is one of few, and
-rectangles touch walls along whole sides.
+A translating rectangle meets a box where its axis enters the Minkowski sum of both, a polygon whose sides are
+perpendicular to the four axes. It meets a cylinder where its axis enters the rectangle grown by the cylinder's radius.
+
+A rectangle that turns about its axis covers its first and last place and the four sectors that its corners sweep. If a
+convex solid is clear of both places, it meets a sector exactly if its point nearest to the axis is in the sector. The
+reason: from any other of its points in the sector, a straight line leads to that nearest point inside the circle of the
+corners. The line could leave the sector only across a half diagonal of the first or last place. Turns by any angle are
+therefore decided in closed form.
+
+Tensors have double precision throughout: there is one base for many solids, and rectangles touch walls along whole
+sides.
 """
 
 from __future__ import annotations
@@ -28,16 +31,16 @@ if TYPE_CHECKING:
     from hrl_escape.env.tensor_geometry import RoomSolids, Shapes
 
 TOUCH = 1e-9
-"""Depth, m, to which rounding may put a base inside a solid that it touches."""
+"""Depth, m, to which rounding can move a base into a solid that it touches."""
 _GRAZE = 1e-9
 _SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def _compute_sides(px: Any, py: Any, cos: Any, sin: Any, size: tuple[float, ...], box_cos: Any, box_sin: Any,
                    half_x: Any, half_y: Any) -> tuple[tuple[Any, Any, Any, Any], ...]:
-    """The polygon of touching places round a box: (x and y of an axis, place on it, half extent) of each pair of sides.
+    """Sides of the polygon of touching places around a box: (x and y of an axis, place on it, half extent) per pair.
 
-    The place is that of the base's axis, at (px, py) from the box's centre. Takes numbers and tensors alike.
+    The place is the position of the base's axis, at (px, py) from the box's centre. Accepts numbers and tensors.
     """
     half_length, half_width = size[0], size[1]
     ahead, aside = abs(cos * box_cos + sin * box_sin), abs(sin * box_cos - cos * box_sin)
@@ -51,10 +54,10 @@ def _compute_sides(px: Any, py: Any, cos: Any, sin: Any, size: tuple[float, ...]
 
 def compute_base_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...],
                          dx: float, dy: float, shape: Footprint) -> float:
-    """Fraction in [0, 1) of a displacement at which a moving rectangle meets a footprint; infinity if it gets by.
+    """Return the fraction in [0, 1) of a displacement at which a rectangle meets a footprint; infinity if it passes.
 
-    `size` is half its size along its heading (cos, sin) and across, clearance included. One that touches already is
-    stopped (0) only if it moves towards the shape; sliding along it is free.
+    `size` is half its size along its heading (cos, sin) and across, with clearance. A rectangle already in contact
+    stops (0) only if it moves towards the shape; it can slide along it.
     """
     half_length, half_width = size[0], size[1]
     if shape[0]:
@@ -69,10 +72,10 @@ def compute_base_contact(x: float, y: float, cos: float, sin: float, size: tuple
         away, speed = abs(place) - half, dx * axis_x + dy * axis_y
         if place < 0.0:
             speed = -speed
-        if deepest <= TOUCH:  # in contact: stopped if it moves inwards across every side that it touches
+        if deepest <= TOUCH:  # in contact: stops if it moves inwards across every side that it touches
             if away >= deepest - TOUCH and speed >= -graze:
                 return math.inf
-        elif away >= -TOUCH and speed >= -graze:  # grazing a side is no hit, whatever the rounding
+        elif away >= -TOUCH and speed >= -graze:  # grazing a side is not a contact, independent of rounding
             return math.inf
         elif away > 0.0:
             enter, leave = max(enter, away / -speed), min(leave, (away + 2.0 * half) / -speed)
@@ -87,9 +90,9 @@ def compute_base_contact(x: float, y: float, cos: float, sin: float, size: tuple
 
 def measure_base_gap(x: float, y: float, cos: float, sin: float, size: tuple[float, ...],
                      shape: Footprint) -> float:
-    """Gap between a rectangle and a footprint across the axis that separates them best; negative where they overlap.
+    """Return the gap between a rectangle and a footprint along the best separating axis; negative if they overlap.
 
-    It has the sign of the distance and is never larger (separating axis theorem).
+    It has the sign of the distance and never exceeds it (separating axis theorem).
     """
     half_length, half_width = size[0], size[1]
     if shape[0]:
@@ -104,9 +107,9 @@ def measure_base_gap(x: float, y: float, cos: float, sin: float, size: tuple[flo
 
 def compute_base_distance(x: float, y: float, cos: float, sin: float, size: tuple[float, ...],
                           shape: Footprint) -> float:
-    """Distance between a rectangle and a footprint; 0 where they overlap.
+    """Return the distance between a rectangle and a footprint; 0 if they overlap.
 
-    That of two boxes apart is the distance of some corner of one to the other.
+    For two separate boxes it is the smallest distance of a corner of one to the other.
     """
     half_length, half_width = size[0], size[1]
     gap = measure_base_gap(x, y, cos, sin, size, shape)
@@ -117,7 +120,7 @@ def compute_base_distance(x: float, y: float, cos: float, sin: float, size: tupl
 
 
 def _find_nearest_corner(box: Footprint, other: Footprint) -> float:
-    """Least distance of a corner of a box to another footprint."""
+    """Smallest distance of a corner of a box to another footprint."""
     _, cx, cy, cos, sin, half_x, half_y = box
     nearest = math.inf
     for along, across in ((half_x, half_y), (half_x, -half_y), (-half_x, half_y), (-half_x, -half_y)):
@@ -128,14 +131,14 @@ def _find_nearest_corner(box: Footprint, other: Footprint) -> float:
 
 def is_turn_blocked(x: float, y: float, cos: float, sin: float, to_cos: float, to_sin: float, turn: float,
                     size: tuple[float, ...], shape: Footprint) -> bool:
-    """Return whether a footprint blocks the turn of a rectangle about its centre; the two are apart before it.
+    """Return whether a footprint blocks the turn of a rectangle about its centre; they must be apart before the turn.
 
-    `size` is half its size along its heading and across, clearance included; `turn` is in rad, counter-clockwise.
+    `size` is half its size along its heading and across, with clearance; `turn` is in rad, counter-clockwise.
     """
     half_length, half_width = size[0], size[1]
     around = math.hypot(half_length, half_width)
     is_disc, cx, cy, box_cos, box_sin, half_x, half_y = shape
-    px, py = cx - x, cy - y  # the shape's point nearest to the axis is at (px, py)
+    px, py = cx - x, cy - y  # (px, py) becomes the shape's point nearest to the axis
     if is_disc:
         if math.hypot(px, py) - half_x >= around - TOUCH:
             return False
@@ -155,7 +158,7 @@ def is_turn_blocked(x: float, y: float, cos: float, sin: float, to_cos: float, t
 
 
 class RectangularBase(Base):
-    """A rectangle round the axis; `size` is half its length along its heading and half its width."""
+    """A rectangle around the axis; `size` is half its length along its heading and half its width."""
 
     front_field, width_field = "body_length / 2", "body_width"
     contact, gap = staticmethod(compute_base_contact), staticmethod(measure_base_gap)
@@ -164,32 +167,32 @@ class RectangularBase(Base):
 
     @classmethod
     def measure(cls, robot: Any) -> Self:
-        """The base of a `RobotConfig`, without clearance."""
+        """Return the base of a `RobotConfig`, without clearance."""
         return cls((robot.body_length / 2, robot.body_width / 2))
 
     @property
     def inner_radius(self) -> float:
-        """Radius of the largest disc round the axis within it, m."""
+        """Radius of the largest disc around the axis inside the rectangle, m."""
         return min(self.size)
 
     @property
     def outer_radius(self) -> float:
-        """Half its diagonal, m."""
+        """Half the diagonal, m."""
         return math.hypot(*self.size)
 
     @property
     def front(self) -> float:
-        """Half its length, m."""
+        """Half the length, m."""
         return self.size[0]
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Its corners in its own frame, counter-clockwise, m."""
+        """Corners in the base frame, counter-clockwise, m."""
         long, wide = self.size
         return (-long, -wide), (long, -wide), (long, wide), (-long, wide)
 
     def describe(self) -> str:
-        """Describe shape and sizes in words, for messages."""
+        """Return shape and sizes in words, for messages."""
         return f"a base of {2 * self.size[0]:g} x {2 * self.size[1]:g} m"
 
     def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
@@ -206,12 +209,12 @@ class TensorRectangle(NamedTuple):
 
     x: Tensor  # centre, m
     y: Tensor  # centre, m
-    cos: Tensor  # of the heading
-    sin: Tensor  # of the heading
-    size: tuple[float, ...]  # half its sizes, the same in all rooms, m
+    cos: Tensor  # cosine of the heading
+    sin: Tensor  # sine of the heading
+    size: tuple[float, ...]  # half sizes, equal in all rooms, m
 
     def _as_shapes(self, shapes: Shapes) -> Shapes:
-        """The rectangle about each shape's centre, grown by a cylinder's radius: a cylinder meets it as a point."""
+        """The rectangle around each shape's centre, grown by a cylinder's radius, which reduces cylinders to points."""
         import torch
 
         half_length, half_width = self.size
@@ -219,11 +222,11 @@ class TensorRectangle(NamedTuple):
                                half_y=torch.full_like(self.cos, half_width))
 
     def _compute_sides(self, shapes: Shapes) -> tuple[tuple[Tensor, Tensor, Tensor, Tensor], ...]:
-        """Sides of the polygon of touching places round boxes: (x and y of an axis, place on it, half extent)."""
+        """Sides of the polygon of touching places around boxes: (x and y of an axis, place on it, half extent)."""
         return _compute_sides(*shapes.look_from(self.x, self.y), self.cos, self.sin, self.size, *shapes[2:6])
 
     def measure_gap(self, shapes: Shapes) -> Tensor:
-        """Gap to outlines across the axis that separates them best, (shapes, rooms); negative where they overlap."""
+        """Return the gap to outlines along the best separating axis, (shapes, rooms); negative if they overlap."""
         import torch
 
         from hrl_escape.env.tensor_geometry import compute_distance
@@ -234,7 +237,7 @@ class TensorRectangle(NamedTuple):
         return torch.where(shapes.rounding > 0.0, to_disc, box)
 
     def compute_distance(self, shapes: Shapes) -> Tensor:
-        """Distance to boxes, (shapes, rooms); 0 where they overlap."""
+        """Return the distance to boxes, (shapes, rooms); 0 if they overlap."""
         import torch
 
         from hrl_escape.env.tensor_geometry import Shapes, compute_distance
@@ -253,15 +256,15 @@ class TensorRectangle(NamedTuple):
         return torch.where(self.measure_gap(shapes) <= 0.0, 0.0, torch.stack(corners).amin(0))
 
     def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
-        """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
+        """Return the fraction, in [0, 1], of displacements before the contact with any solid, float64 (rooms,)."""
         return self.compute_first_contact(dx, dy, solids.list_all()).amin(0)
 
     def stands_in(self, shapes: Shapes) -> Tensor:
-        """Return true where the rectangle overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
+        """Return whether the rectangle overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
         return self.measure_gap(shapes) < -STANDS_IN
 
     def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
-        """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
+        """Return the fraction, in [0, 1], of displacements before the contact with each outline, (shapes, rooms)."""
         import torch
 
         from hrl_escape.env.tensor_geometry import compute_first_contact
@@ -286,7 +289,7 @@ class TensorRectangle(NamedTuple):
         return torch.where(shapes.rounding > 0.0, disc, box)
 
     def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
-        """Return true where an outline blocks a turn by an angle in rad, bool (shapes, rooms)."""
+        """Return whether an outline blocks a turn by an angle in rad, bool (shapes, rooms)."""
         import torch
 
         half_length, half_width = self.size

@@ -1,1 +1,1 @@
-"""The batched engine: the kinematic rules of thousands of rooms as torch kernels, with the results of `env`'s own."""
+"""The batched engine: the kinematic rules of thousands of rooms as torch kernels, equal to `kinematics.py`."""

@@ -1,8 +1,8 @@
-"""Cameras of a batch of rooms: colours, depth and labels of what each pixel sees, by exact rays in tensors.
+"""Cameras of a batch of rooms: colours, depth and labels of each pixel, by exact ray casting in tensors.
 
-Everything in a kinematic room is an upright prism on an axis of its own, or paint on the floor, so a ray meets it in
-closed form (slabs, Kay and Kajiya 1986). The views are those of Bullet's cameras; their pictures also have shadows and
-soft edges. Shapes, places and colours are theirs too.
+Everything in a kinematic room is an upright prism on its own axis, or paint on the floor. Rays meet these in closed
+form (slabs, Kay and Kajiya 1986). Views, shapes, places and colours equal those of Bullet's cameras, whose pictures
+also have shadows and soft edges.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ LABELS_OF_LOOKS = {
     "wall": "wall", "obstacle": "obstacle", "door": "door", "thing": "block", "frame": "target", "off": "target",
     "lit": "target", "block": "block", "body": "robot", "arrow": "robot",
 }
-"""Role of each part that is drawn -> its label."""
+"""Role of each visible part -> its label."""
 
 LOOK_COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(palette.LOOKS[role])) for role in LABELS_OF_LOOKS)
-"""Red, green and blue of each look, within [0, 255]."""
+"""Red, green and blue of each look, in [0, 255]."""
 LOOK_LABELS = tuple(map(LABELS.index, LABELS_OF_LOOKS.values()))
 """Index in `LABELS` of each look."""
 
@@ -48,30 +48,30 @@ _PAINT = 0.018  # height of a plate, m
 
 
 def find_look(name: str) -> int:
-    """Index of a look in `LABELS_OF_LOOKS`."""
+    """Return the index of a look in `LABELS_OF_LOOKS`."""
     return tuple(LABELS_OF_LOOKS).index(name)
 
 
 class Scenery(NamedTuple):
-    """Prisms of every instance; the last axis is the instance. Absent ones stand out of sight.
+    """Prisms of every instance; the last axis is the instance. Absent prisms are placed out of sight.
 
     Boxes are in this order: solids, frames of targets, their faces, blocks and plates, inner doors, and the leaf of the
-    exit's door shut and open.
+    exit door shut and open.
     """
 
     boxes: Tensor
-    """X, y, cosine and sine of the own x axis, half sizes, lowest and highest z, float32 (8, boxes, instances)."""
-    looks: Tensor  # their looks, int64 (boxes, instances)
+    """x, y, cosine and sine of the own x axis, half sizes, lowest and highest z, float32 (8, boxes, instances)."""
+    looks: Tensor  # looks of the boxes, int64 (boxes, instances)
     cylinders: Tensor  # x, y, lowest and highest z, radius below and above, float32 (6, cylinders, instances)
-    floors: Tensor  # x_min, x_max, y_min, y_max of the room's floor and of an alcove, float32 (4, 2, instances)
-    sizes: Tensor  # half sizes of all, height of walls, and side of a tile, float32 (4, instances)
+    floors: Tensor  # x_min, x_max, y_min, y_max of the floors of room and alcove, float32 (4, 2, instances)
+    sizes: Tensor  # half sizes of the floor, height of walls, and side of a tile, float32 (4, instances)
 
 
 class SceneryForm(NamedTuple):
     """Constants of a scenery."""
 
-    faces: int  # number of the box that is the first target's face
-    is_straight: tuple[bool, ...]  # for each box whether its sides are along the axes in all instances
+    faces: int  # index of the box that is the first target's face
+    is_straight: tuple[bool, ...]  # whether the sides of each box are parallel to the axes in all instances
 
 
 def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: torch.device
@@ -114,7 +114,7 @@ def _stack_group(rows: Sequence[Sequence[RoomPart]]) -> tuple[NDArray[np.float64
 
 
 def _straighten(shape: Footprint) -> Footprint:
-    """The same box with its own x along the room's, if its sides are parallel to the room's axes."""
+    """The same box with its x along the room's, if its sides are parallel to the room's axes."""
     if shape.sin == 0.0:
         return shape._replace(cos=1.0)
     return shape if shape.cos else shape._replace(cos=1.0, sin=0.0, half_x=shape.half_y, half_y=shape.half_x)
@@ -135,9 +135,9 @@ def _list_boxes(model: RoomModel, layout: Layout) -> tuple[list[RoomPart], ...]:
             [panel.face for panel in model.panels] + absent, props, inner, leaves)
 
 
-_CHUNK = 100_000  # pixels per pass on a CPU, few enough that the intermediate values stay in a core's cache
+_CHUNK = 100_000  # pixels per pass on a CPU; small enough for the intermediate values to stay in a core's cache
 _FAR = 1e6
-_FACES = 5  # of a box: no camera sees its bottom
+_FACES = 5  # of a box: no camera sees the bottom
 _SUN = (-0.397, 0.258, 0.894)
 _AMBIENT, _DIFFUSE = 0.74, 0.27
 
@@ -146,12 +146,12 @@ class Pictures(NamedTuple):
     """Pictures of all rooms."""
 
     rgb: Tensor  # uint8 (rooms, height, width, 3)
-    depth: Tensor  # distance along the camera's axis, m, float32 (rooms, height, width); infinity where nothing is
-    segmentation: Tensor  # number of what is seen in `LABELS`, uint8 (rooms, height, width)
+    depth: Tensor  # distance along the camera's axis, m, float32 (rooms, height, width); infinity for the background
+    segmentation: Tensor  # index in `LABELS`, uint8 (rooms, height, width)
 
 
 class _Form(NamedTuple):
-    """Constants of a picture in addition to the layout."""
+    """Constants of a picture, in addition to the layout."""
 
     camera: str
     width: int
@@ -160,7 +160,7 @@ class _Form(NamedTuple):
 
 
 class _View(NamedTuple):
-    """Places of cameras, m, and directions to the right, up and ahead; three tensors (rooms,) each."""
+    """Positions of cameras, m, and unit vectors to the right, up and ahead; three tensors (rooms,) each."""
 
     eye: list[Tensor]
     right: list[Tensor]
@@ -180,7 +180,7 @@ class BatchedCamera:
 
     Raises:
         UnknownNameError: no camera of that name.
-        ConfigError: an impossible size.
+        ConfigError: invalid size.
         UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
     """
 
@@ -188,18 +188,18 @@ class BatchedCamera:
         check_camera(camera)
         check_picture_size(width, height)
         if camera not in _VIEWS:
-            raise UnsupportedError(f"camera = {camera!r}: a batch is seen by {' or '.join(map(repr, _VIEWS))}; "
+            raise UnsupportedError(f"camera = {camera!r}: a batch has {' or '.join(map(repr, _VIEWS))}; "
                                    "gymnasium.make makes a room with every camera")
         if room.layout.robot.joints:
-            raise UnsupportedError("the batched cameras draw no arm: gymnasium.make makes a room that does")
+            raise UnsupportedError("the batched cameras cannot draw an arm. Use gymnasium.make")
         if room.tables.marks.numel():
-            raise UnsupportedError("the batched cameras draw no marks: gymnasium.make makes a room that does")
+            raise UnsupportedError("the batched cameras cannot draw marks. Use gymnasium.make")
         self._room = room
         self._scenery, scenery_form = stack_scenery(room.instances, room.layout, room.device)
         self._form = _Form(camera, width, height, scenery_form)
 
     def take(self) -> Pictures:
-        """Take a picture of the present state of every room."""
+        """Take a picture of the current state of every room."""
         room, state = self._room, self._room.state
         with torch.no_grad():
             many = room.count if room.device.type != "cpu" else max(1, _CHUNK // (self._form.width * self._form.height))
@@ -213,7 +213,7 @@ class BatchedCamera:
 
 
 def _view_robot(layout: Layout, things: Scenery, form: _Form, state: TensorState, tables: Tables) -> _View:
-    """Mounted above the front edge of the base, looking 12 degrees down."""
+    """Camera above the front edge of the base, 12 degrees down."""
     cos, sin = (part.to(torch.float32) for part in compute_rotation(layout, tables, state))
     x, y = state.x.to(torch.float32), state.y.to(torch.float32)
     robot = layout.robot
@@ -225,7 +225,7 @@ def _view_robot(layout: Layout, things: Scenery, form: _Form, state: TensorState
 
 
 def _view_overhead(layout: Layout, things: Scenery, form: _Form, state: TensorState, tables: Tables) -> _View:
-    """The whole floor from straight above, y upwards."""
+    """Camera straight above, with the whole floor in view and y upwards."""
     reach_x, reach_y, walls, _ = things.sizes
     half = 1.04 * torch.maximum(reach_y + 0.5, (reach_x + 0.5) * (form.height / form.width))
     nought = torch.zeros_like(state.x, dtype=torch.float32)
@@ -238,7 +238,7 @@ _VIEWS = {"robot": _view_robot, "overhead": _view_overhead}
 
 
 def _aim(form: _Form, view: _View) -> list[Tensor]:
-    """Directions through the centres of the pixels, (rooms, pixels) each; their length along the camera's axis is 1."""
+    """Directions through the centres of the pixels, (rooms, pixels) each, of length 1 along the camera's axis."""
     device = view.eye[0].device
     tall = math.tan(math.radians(view.field / 2))
     columns = (torch.arange(form.width, device=device) + 0.5) * (2.0 / form.width) - 1.0
@@ -261,7 +261,7 @@ def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: 
     depth = torch.where(ray[2] < 0.0, ground, _FAR)
     floor_look = _find_floor_look(layout, tables, things, view, ray, depth, state)
     depth = torch.where(floor_look == 0, _FAR, depth)
-    # what each pixel sees, as a row of a table: looks by themselves, then the five faces of each box, then the rounds
+    # The look of each pixel is a row of a table: looks, then the five faces of each box, then the rounds.
     looks = _find_looks(layout, form, tables, things, state)
     which, bright = floor_look, torch.ones_like(depth)
     for number in range(len(looks)):
@@ -289,7 +289,7 @@ def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: 
 
 
 def _tabulate(things: Scenery, looks: Tensor, rounds: int) -> Tensor:
-    """Colour and label of everything that can be seen, packed into words, int32 (rooms, entries)."""
+    """Colour and label of everything visible, packed into words, int32 (rooms, entries)."""
     device, rooms = looks.device, looks.shape[1]
     colours = torch.tensor(LOOK_COLOURS, device=device)
     labels = torch.tensor(LOOK_LABELS, dtype=torch.int32, device=device)
@@ -327,7 +327,7 @@ def _add_box_base(layout: Layout, tables: Tables, things: Scenery, state: Tensor
 
 def _find_floor_look(layout: Layout, tables: Tables, things: Scenery, view: _View, ray: list[Tensor], depth: Tensor,
                      state: TensorState) -> Tensor:
-    """Material index of the floor where each ray hits it, int64 (rooms, pixels); 0 off the floor."""
+    """Look of the floor where each ray hits it, int64 (rooms, pixels); 0 outside the floor."""
     x, y = (eye.unsqueeze(1) + depth * part for eye, part in zip(view.eye[:2], ray[:2], strict=True))
     side = things.sizes[3].unsqueeze(1)
     is_other = torch.remainder(torch.floor(x / side) + torch.floor(y / side), 2.0) >= 1.0
@@ -344,13 +344,13 @@ def _find_floor_look(layout: Layout, tables: Tables, things: Scenery, view: _Vie
 
 
 def _is_within(x: Tensor, y: Tensor, area: Tensor) -> Tensor:
-    """Return true where places (rooms, pixels) are in rectangles (4, rooms)."""
+    """Return whether points (rooms, pixels) are in rectangles (4, rooms)."""
     x_min, x_max, y_min, y_max = area.unsqueeze(2)
     return (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
 
 
 def _find_looks(layout: Layout, form: _Form, tables: Tables, things: Scenery, state: TensorState) -> Tensor:
-    """Looks of all boxes now, int64 (boxes, rooms); 0 for absent boxes."""
+    """Current looks of all boxes, int64 (boxes, rooms); 0 for absent boxes."""
     puzzle, columns = pick_rules(layout, tables, state.instance)
     looks = things.looks.expand(-1, len(state.x)).clone()
     leaves, last = 2 if layout.has_door else 0, len(form.scenery.is_straight)
@@ -369,9 +369,9 @@ def _find_looks(layout: Layout, form: _Form, tables: Tables, things: Scenery, st
 
 def _meet_box(view: _View, ray: list[Tensor], inverse: list[Tensor], box: Tensor, is_straight: bool
               ) -> tuple[Tensor, Tensor]:
-    """Depth at which rays (rooms, pixels) meet boxes (8, rooms), `_FAR` where they pass, and the face that they meet.
+    """Depth at which rays (rooms, pixels) meet boxes (8, rooms), `_FAR` for a miss, and the face that they meet.
 
-    Faces: 0 on top, 1 and 2 ahead and behind on the box's own x axis, 3 and 4 on its y axis, int32.
+    Faces: 0 on top, 1 and 2 in front and behind along the box's x, 3 and 4 along its y, int32.
     """
     x, y, cos, sin, half_x, half_y, low, high = box.unsqueeze(2)
     dx, dy = view.eye[0].unsqueeze(1) - x, view.eye[1].unsqueeze(1) - y
@@ -406,11 +406,11 @@ def _list_rounds(layout: Layout, things: Scenery, state: TensorState) -> Tensor:
 
 
 def _meet_round(view: _View, ray: list[Tensor], per_z: Tensor, shape: Tensor) -> tuple[Tensor, Tensor]:
-    """Depth at which rays (rooms, pixels) meet upright frusta (6, rooms), `_FAR` where they pass, and their light."""
+    """Depth at which rays (rooms, pixels) meet upright frusta (6, rooms), `_FAR` for a miss, and their brightness."""
     x, y, low, high, below, above = shape.unsqueeze(2)
     px, py, pz = view.eye[0].unsqueeze(1) - x, view.eye[1].unsqueeze(1) - y, view.eye[2].unsqueeze(1)
     slope = (above - below) / (high - low)
-    radius = below + slope * (pz - low)  # at the eye's height, if the side went on to there
+    radius = below + slope * (pz - low)  # radius of the extended side at the eye's height
     a = ray[0] * ray[0] + ray[1] * ray[1] - slope * slope * ray[2] * ray[2]
     b = px * ray[0] + py * ray[1] - slope * radius * ray[2]
     c = px * px + py * py - radius * radius
@@ -426,16 +426,16 @@ def _meet_round(view: _View, ray: list[Tensor], per_z: Tensor, shape: Tensor) ->
 
 
 def _shade(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    """Brightness of surfaces by their unit normals."""
+    """Brightness of surfaces, from their unit normals."""
     return _AMBIENT + _DIFFUSE * (_SUN[0] * x + _SUN[1] * y + _SUN[2] * z).clamp(min=0.0)
 
 
 def _is_arrow(layout: Layout, tables: Tables, state: TensorState, place: list[Tensor]) -> Tensor:
-    """Return true on the arrow on top of the base that shows the heading, bool (rooms, pixels)."""
+    """Return whether points are on the arrow on top of the base that shows the heading, bool (rooms, pixels)."""
     radius, height = layout.robot.inner_radius, layout.robot.body_height
     cos, sin = (part.to(torch.float32).unsqueeze(1) for part in compute_rotation(layout, tables, state))
     dx, dy = (at - own.to(torch.float32).unsqueeze(1) for at, own in zip(place, (state.x, state.y), strict=False))
     ahead, aside = (cos * dx + sin * dy) / radius, ((cos * dy - sin * dx) / radius).abs()
-    front = (0.72 - ahead) * 0.5 - aside * 1.22  # before the line from the tip to a barb
-    back = (ahead + 0.22) * 0.5 + aside * 0.28  # and beyond the one from the notch to it
+    front = (0.72 - ahead) * 0.5 - aside * 1.22  # positive behind the line from the tip to a barb
+    back = (ahead + 0.22) * 0.5 + aside * 0.28  # positive in front of the line from the notch to the barb
     return (front >= 0.0) & (back >= 0.0) & ((place[2] - height).abs() < 1e-2)

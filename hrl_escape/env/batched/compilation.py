@@ -1,7 +1,7 @@
-"""Steps of batches, fused into compiled kernels: traced once for tensors of certain shapes, then called directly.
+"""Steps of batches, fused into compiled kernels: traced once for fixed shapes of tensors, then called directly.
 
-`torch.compile` checks at every call whether its kernel still fits; for a few thousand rooms that takes as long as
-the step. Here a batch keeps its shapes and types, so that comparing those is enough.
+`torch.compile` checks at every call whether its kernel still fits, which for a few thousand rooms takes as long as the
+step. A batch keeps its shapes and dtypes, and here only these are compared.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ from hrl_escape.errors import BatchError, UnsupportedError
 # step (`python -m benchmarks.batch`). Shapes are compared here, and indices come from the tables.
 _OPTIONS: dict[str, bool] = {"size_asserts": False, "assert_indirect_indexing": False}
 _CPU_OPTIONS: dict[str, int] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
-# An accelerator's kernels are not tried out while they are compiled: on made-up indices they leave the tables.
+# An accelerator's kernels are not run while they are compiled: made-up indices would be outside the tables.
 _ACCELERATOR_OPTIONS: dict[str, bool] = {"triton.autotune_at_compile_time": False}
 
 
 def check_compiler(device: torch.device) -> None:
-    """Check that a device can be compiled for.
+    """Check that the compiler supports a device.
 
     Raises:
         UnsupportedError: there is no C++ compiler.
     """
     program = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
     if device.type == "cpu" and shutil.which(program) is None:
-        raise UnsupportedError(f"compile=True needs a C++ compiler, and there is no {program!r}: install one, set CXX, "
-                               "or step eagerly with compile=False")
+        raise UnsupportedError(f"compile=True needs a C++ compiler, and {program!r} was not found. Install one, set "
+                               "CXX, or step eagerly with compile=False")
 
 
 class CompiledStep:
     """A pure function of tensors in nested named tuples and dicts, compiled for one shape of its arguments.
 
-    It returns what the function returns; tensors that the function passes through unchanged cost nothing.
+    Calls return the function's value. Tensors that the function passes through unchanged have no cost.
     """
 
     def __init__(self, step: Callable[..., Any], device: str, threads: int, rounds_alike: bool = False) -> None:
-        """Store the function; it is compiled at the first call.
+        """Store the function, which is compiled at the first call.
 
         Args:
             step: the function.
             device: type of the device.
-            threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
-                cache on disk ignores them unless they are part of its key.
-            rounds_alike: whether an accelerator's kernel rounds after every operation, as it does without compilation.
+            threads: number of threads that share the rooms in a CPU kernel. It is part of the kernel's code, but the
+                compiler's cache on disk only distinguishes it as part of the key.
+            rounds_alike: whether an accelerator's kernel rounds after every operation, as eager mode does.
         """
         self._step = step
         self._options = _OPTIONS | (_CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else
@@ -67,9 +67,9 @@ class CompiledStep:
         self._read: Callable[[Sequence[Tensor]], Any] = tuple
 
     def bind(self, *constants: Any) -> Callable[..., Any]:
-        """Make a function of the other arguments, which come after the constant ones.
+        """Return a function of the remaining arguments, which follow the constant ones.
 
-        The function raises `BatchError` for a tensor of another shape or dtype than in its first call.
+        The function raises `BatchError` for a tensor whose shape or dtype differs from its first call.
         """
         given = [tensor.contiguous() for tensor in list_tensors(constants)]
 
@@ -103,11 +103,11 @@ class CompiledStep:
             self._read = _make_reader(map_tensors(find, self._step(*read(inputs))))
             found = known[len(inputs):]
             self._flags = [number for number, tensor in enumerate(found) if tensor.dtype == torch.bool]
-            for number in self._flags:  # through integer words: the compiler would write truth values byte by byte
+            for number in self._flags:  # as integers, because the compiler would write truth values byte by byte
                 found[number] = found[number].to(torch.int32).to(torch.uint8)
             return found
 
-        # each with memory of its own: the tracer knows tensors by identity, and a batch may begin with one for two
+        # Each tensor needs its own memory: the tracer identifies tensors, and a batch may pass one tensor twice.
         examples: list[Any] = [torch.empty_like(tensor) for tensor in given + tensors]
         graph = make_fx(trace, tracing_mode="fake")(*examples)
         self._kernel = standalone_compile(graph, examples, dynamic_shapes="from_example_inputs",
@@ -116,7 +116,7 @@ class CompiledStep:
 
 
 def _make_reader(tree: Any) -> Callable[[Sequence[Tensor]], Any]:
-    """Make the function that replaces each index in a tree by the tensor at that index."""
+    """Return a function that replaces each index in a tree by the tensor at that index."""
     if isinstance(tree, int):
         return itemgetter(tree)
     if tree is None:

@@ -1,8 +1,8 @@
 """The batched engine: thousands of rooms that step together, on a CPU or an accelerator.
 
-`TensorRoom` owns the tables and states of a batch and, if asked, a compiled kernel; the rules
-are in `rules.py`. Poses agree with the scalar rules' to rounding; what is touched is
-decided in single precision, so flags can differ within a micrometre of a threshold.
+`TensorRoom` owns the tables and states of a batch and, optionally, a compiled kernel; `rules.py` has the rules. Poses
+agree with the scalar rules up to rounding. Contacts are decided in single precision, and flags can therefore differ
+within a micrometre of a threshold.
 """
 
 from __future__ import annotations
@@ -52,34 +52,34 @@ AUTORESETS = ("next-step", "same-step", "disabled")
 class RoomInfo(NamedTuple):
     """The `info` of every room."""
 
-    primitives: Tensor  # primitives of the episode so far, int32 (rooms,)
-    pressed: Tensor  # 1 for each target pressed by this primitive, int8 (rooms, targets)
+    primitives: Tensor  # number of primitives in the episode so far, int32 (rooms,)
+    pressed: Tensor  # 1 for each target that this primitive pressed, int8 (rooms, targets)
     buttons_on: Tensor  # 1 for each target that is on, int8 (rooms, targets)
     instance: Tensor  # index of the instance, int64 (rooms,)
-    success: Tensor  # 1 if the episode has ended by an escape, else 0, int32 (rooms,)
+    success: Tensor  # 1 if the episode has ended with an escape, otherwise 0, int32 (rooms,)
 
 
 class Outcome(NamedTuple):
     """The result of a step of the batch."""
 
     observation: Tensor
-    """Float32 (rooms, numbers), after any automatic reset; numbers of one kind lie together in memory."""
+    """Observations after any automatic reset, float32 (rooms, numbers); values of one kind are contiguous in memory."""
     reward: Tensor  # float32 (rooms,)
     terminated: Tensor  # bool (rooms,)
     truncated: Tensor  # bool (rooms,)
     info: RoomInfo  # after any automatic reset
-    final_observation: Tensor | None = None  # the observation before it, if rooms are reset in the same step, else None
-    final_info: RoomInfo | None = None  # `info` before it, if rooms are reset in the same step, else None
+    final_observation: Tensor | None = None  # observation before a reset in the same step, or None in other reset modes
+    final_info: RoomInfo | None = None  # `info` before a reset in the same step, or None in other reset modes
 
 
 def advance(layout: Layout, observation: BatchObservation, autoreset: Autoreset, tables: Tables, state: TensorState,
             action: Tensor) -> tuple[TensorState, Outcome]:
-    """Step every room, reset and observe it; this is the function that is compiled.
+    """Step every room, reset and observe it. This is the function that is compiled.
 
-    With `next-step`, a room whose episode has ended ignores its action, begins anew and earns nothing;
-    with `same-step`, it begins anew as soon as its episode ends; with `disabled`, it moves on.
+    With `next-step`, a room whose episode has ended ignores its action, begins the next episode and has reward 0. With
+    `same-step`, it begins the next episode in the step that ends the last. With `disabled`, it keeps moving.
     """
-    had_ended = state.has_ended.to(torch.int64) != 0  # as wide as the values it chooses between
+    had_ended = state.has_ended.to(torch.int64) != 0  # as wide as the values that it selects
     move = step if layout.velocities is None else glide
     state, reward, terminated, truncated, pressed, escaped = move(layout, tables, state, action)
     if autoreset == "next-step":
@@ -96,7 +96,7 @@ def advance(layout: Layout, observation: BatchObservation, autoreset: Autoreset,
 
 
 def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor, escaped: Tensor) -> RoomInfo:
-    """Make the info of every room; `pressed` holds bits, int64 (rooms,), `escaped` truth values, bool (rooms,)."""
+    """Return the info of every room; `pressed` has bits, int64 (rooms,), `escaped` truth values, bool (rooms,)."""
     form, columns = pick_rules(layout, tables, state.instance)
     lit = form.get_lit(columns, state.puzzle)
     begun, on = (unpack_bits(words, layout.targets, torch.int8).T for words in (store(pressed), lit))
@@ -109,41 +109,41 @@ Kernel = Callable[[TensorState, Tensor], tuple[TensorState, Outcome]]
 @lru_cache(maxsize=256)
 def _compile(layout: Layout, observation: BatchObservation, autoreset: Autoreset, device: str, threads: int,
              shapes: tuple) -> CompiledStep:
-    """Compile a step for one shape of batch; engines of the same shape share it."""
+    """Compile a step for one shape of batch, shared by engines of the same shape."""
     return CompiledStep(partial(advance, layout, observation, autoreset), device, threads)
 
 
 class TensorRoom:
-    """A batch of rooms, each an instance of its own choosing, that step together.
+    """A batch of rooms that step together; each has its own instance.
 
     Attributes:
         instances: all instances of the batch; `state.instance` indexes them.
-        layout: the properties they share.
-        tables: their numbers, on the device.
+        layout: properties that the instances share.
+        tables: numbers of the instances, on the device.
         count: number of rooms.
         device: device of all tensors.
         actions: number of primitives, or of velocities.
-        low: smallest value of each number that a room shows, in any instance, float32.
-        high: largest value of each.
-        rows: names of the objects to which the observation's first rows belong, if any.
-        words: names of the numbers in such a row.
+        low: smallest value of each observation number in any instance, float32.
+        high: largest value of each observation number.
+        rows: names of the objects of the observation's first rows, if it has rows.
+        words: names of the numbers in a row.
     """
 
     def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step", velocities: Velocities | None = None,
                  most_steps: int | None = None) -> None:
-        """Stack instances and lay out the batch; the first episodes begin with `reset`.
+        """Stack instances and allocate the batch; the first episodes begin with `reset`.
 
         Args:
-            rooms: which rooms, what they show and where they run; their instances share robot, dynamics, and kind and
-                size of puzzle.
-            autoreset: start of the next episode after one ends: in the next step, in the same step, or by `reset` only.
-            velocities: what actions mean where they are no primitives.
-            most_steps: steps after which an episode is truncated, if that is before the horizon.
+            rooms: instances, observation and device; the instances must share robot, dynamics, and kind and size of
+                puzzle.
+            autoreset: when the next episode begins: in the next step, in the same step, or only by `reset`.
+            velocities: bounds and time step of velocities as actions, or None for primitives.
+            most_steps: largest number of steps in an episode, if smaller than the horizon.
 
         Raises:
-            UnsupportedError: these rooms need the Bullet engine, or there is no compiler.
-            UnknownNameError: no such observation.
-            ConfigError: no such autoreset.
+            UnsupportedError: these rooms require the Bullet engine, or there is no compiler.
+            UnknownNameError: no observation of that name.
+            ConfigError: no such autoreset mode.
         """
         if autoreset not in AUTORESETS:
             raise ConfigError("autoreset", autoreset, f"one of {', '.join(AUTORESETS)}")
@@ -172,7 +172,7 @@ class TensorRoom:
                         shapes).bind(self.tables)
 
     def to(self, device: str | torch.device) -> TensorRoom:
-        """Move the batch, its running episodes included, to another device; returns itself."""
+        """Move the batch with its running episodes to another device. Returns the batch itself."""
         self.device = find_device(device)
         self.tables = map_tensors(lambda table: table.to(self.device), self.tables)
         if self._state is not None:
@@ -186,14 +186,14 @@ class TensorRoom:
         """Begin new episodes.
 
         Args:
-            seeds: key of each room's random numbers, int64 (rooms,); None continues the present streams.
-            where: rooms to reset, bool (rooms,); None resets all.
+            seeds: key of each room's random numbers, int64 (rooms,); by default the streams continue.
+            where: rooms to reset, bool (rooms,); by default all.
 
         Returns:
             The observation of all rooms.
 
         Raises:
-            ResetNeededError: the rooms were never seeded.
+            ResetNeededError: the rooms have no seeds yet.
         """
         with torch.no_grad():
             if where is not None:
@@ -216,14 +216,14 @@ class TensorRoom:
         """Run one primitive, or one step of velocities, in every room.
 
         Args:
-            action: integers (rooms,) on the batch's device; of velocities, float (rooms, numbers), clipped to their
-                bounds.
+            action: integers (rooms,) on the batch's device; for velocities, floats (rooms, numbers), which are clipped
+                to their bounds.
 
         Raises:
-            ActionError: an action outside the table. On an accelerator, where looking would
-                stall it, such an action does nothing instead; and so does a velocity that is no number.
-            BatchError: another shape, dtype or device.
-            ResetNeededError: no episode has begun, or an ended one is stepped without automatic reset.
+            ActionError: an action is not in the table. On an accelerator, where a check would stall the device, such an
+                action has no effect, and a velocity that is NaN counts as 0.
+            BatchError: wrong shape, dtype or device.
+            ResetNeededError: no episode has begun, or an episode has ended and automatic reset is disabled.
         """
         state = self.state
         action = self._check_action(action)
@@ -236,12 +236,12 @@ class TensorRoom:
         return outcome
 
     def observe(self) -> Tensor:
-        """Observations of the rooms now, float32 (rooms, numbers)."""
+        """Return the current observations of the rooms, float32 (rooms, numbers)."""
         with torch.no_grad():
             return observe(self.layout, self.tables, self.state, self._observation)
 
     def inform(self) -> RoomInfo:
-        """The `info` of the rooms now, with nothing just pressed."""
+        """Return the current `info` of the rooms, with no target pressed."""
         with torch.no_grad():
             state = self.state
             form, columns = pick_rules(self.layout, self.tables, state.instance)
@@ -254,13 +254,13 @@ class TensorRoom:
 
     @property
     def state(self) -> TensorState:
-        """The rooms' states; replace them to continue elsewhere.
+        """States of the rooms. Assign to it to continue from other states.
 
         Raises:
             ResetNeededError: no episode has begun.
         """
         if self._state is None:
-            raise ResetNeededError("call reset() with seeds first: no episode has begun")
+            raise ResetNeededError("no episode has begun. Call reset() with seeds first")
         return self._state
 
     @state.setter
@@ -272,12 +272,12 @@ class TensorRoom:
         return self.get_room_states([room])[0]
 
     def get_room_states(self, rooms: Sequence[int]) -> list[RoomState]:
-        """Return the states of some rooms, read from the device together; see `get_room_state`.
+        """Return the states of some rooms, copied from the device together; see `get_room_state`.
 
         Raises:
-            ConfigError: no such room; negative numbers count from the last one.
+            ConfigError: no such room. Negative indices count from the last room.
         """
-        for room in rooms:  # an accelerator would stop at such an index, and for good
+        for room in rooms:  # an invalid index would crash an accelerator irrecoverably
             if not -self.count <= room < self.count:
                 raise ConfigError("rooms", room, f"numbers from {-self.count} to {self.count - 1}")
         at = torch.tensor([room % self.count for room in rooms], dtype=torch.int64, device=self.device)
@@ -292,16 +292,16 @@ class TensorRoom:
         ]
 
     def set_room_state(self, room: int, state: RoomState) -> None:
-        """Put one room into a scalar `RoomState`; its instance and random stream stay.
+        """Set the state of one room from a scalar `RoomState`; its instance and random stream stay the same.
 
         Raises:
-            StateError: the state is of another robot, holds more than the kinematic rules know, or is one to which
-                nothing leads in a puzzle that is run by its table.
+            StateError: the state belongs to another robot, has parts beyond the kinematic rules, or is unreachable in a
+                puzzle with a table.
         """
         rules = self._get_rules(int(self.state.instance[room]))
         check_state(rules, state)
         if state.physics is not None or state.z or state.pitch or state.roll:
-            raise StateError(f"the batched engine takes kinematic states, not {show_value(state)}")
+            raise StateError(f"the batched engine accepts kinematic states, got {show_value(state)}")
         joints = self.layout.robot.joints
         values = {
             "x": state.x, "y": state.y, "heading_steps": state.heading_steps, "heading_offset": state.heading_offset,
@@ -311,9 +311,9 @@ class TensorRoom:
             "has_ended": False,
         }
         if state.heading_offset and not self.layout.has_offsets:
-            raise StateError("headings of these rooms are whole turn steps: they have neither noise nor such starts")
+            raise StateError("headings of these rooms must be whole turn steps, because noise and offsets are off")
         if any(state.joint_offsets) and not self.layout.has_joint_offsets:
-            raise StateError("joints of these rooms are at whole steps: they have no noise")
+            raise StateError("joints of these rooms must be at whole steps, because noise is off")
         changed = {}
         for name, value in values.items():
             field = getattr(self.state, name).clone()
@@ -360,19 +360,19 @@ class TensorRoom:
 
     def _check_running(self) -> None:
         if self._autoreset == "disabled" and bool(self.state.has_ended.any()):
-            raise ResetNeededError("some rooms' episodes have ended and autoreset is disabled: reset those first")
+            raise ResetNeededError("episodes have ended and autoreset is disabled. Reset these rooms first")
 
 
 def draw_seed() -> int:
-    """Draw a first seed from the system's entropy, for rooms without a given one."""
+    """Draw a seed from the system's entropy, for rooms without a given one."""
     return secrets.randbits(62)
 
 
 def make_room_keys(seeds: Sequence[int], device: torch.device) -> Tensor:
-    """Keys of rooms' random numbers, int64 (rooms,), of their seeds, which may be of any size; see `fold_seed`."""
+    """Return keys of rooms' random numbers, int64 (rooms,), from seeds of any size; see `fold_seed`."""
     return torch.from_numpy(np.array([fold_seed(seed) for seed in seeds], dtype=np.uint64).view(np.int64)).to(device)
 
 
 def list_shapes(tree: object) -> list[tuple[int, ...]]:
-    """Shapes of all tensors in nested named tuples and dicts."""
+    """Return the shapes of all tensors in nested named tuples and dicts."""
     return [tuple(table.shape) for table in list_tensors(tree)]

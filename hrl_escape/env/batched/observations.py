@@ -1,4 +1,4 @@
-"""The view of a batch that observations read, and the observation of all its rooms at once."""
+"""The view of a batch for observations, and the observation of all its rooms at once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hrl_escape.errors import UnsupportedError
 
 
 def observe(layout: Layout, tables: Tables, state: TensorState, observation: BatchObservation) -> Tensor:
-    """Observe every room, float32, shape (rooms, numbers); numbers of one kind lie together in memory, room by room."""
+    """Observe every room, float32 (rooms, numbers); values of one kind are contiguous in memory, room by room."""
     return torch.cat(observation(cast("BatchView", _Rooms(layout, tables, state)))).T
 
 
@@ -31,24 +31,24 @@ def load_observation(name: str) -> BatchObservation:
     """Return the batched form of an observation.
 
     Raises:
-        UnsupportedError: the observation has none.
+        UnsupportedError: the observation has no batched form.
         UnknownNameError: no observation of that name.
     """
     form = get_observation(name).observe_batch
     if form is Observer.observe_batch:
-        raise UnsupportedError(f"the batched engine does not show {name!r}: {INSTEAD}")
+        raise UnsupportedError(f"the batched engine does not support the observation {name!r}: {INSTEAD}")
     return form
 
 
 def compute_bounds(instances: Sequence[RoomInstance], name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Smallest and largest value of each number of an observation, wide enough for every instance."""
+    """Return the smallest and largest value of each number of an observation over all instances."""
     observers = [make_observer(name, Rules(instance)) for instance in instances]
     low, high = (np.stack(side) for side in zip(*((one.low, one.high) for one in observers), strict=True))
     return low.min(axis=0), high.max(axis=0)
 
 
 class _Rooms:
-    """The `BatchView` of a batch; each value is computed on first use."""
+    """The `BatchView` of a batch; values are computed at first use."""
 
     def __init__(self, layout: Layout, tables: Tables, state: TensorState) -> None:
         self._layout, self._tables, self._state = layout, tables, state
@@ -71,7 +71,7 @@ class _Rooms:
     exit = property(lambda self: self._pick("exits").unbind())
 
     def _pick(self, table: str) -> Any:
-        """Each room's column of a table."""
+        """Return each room's column of a table."""
         return pick(self._layout, getattr(self._tables, table), self._state.instance)
 
     def cast_rays(self, ray_x: Tensor, ray_y: Tensor, among: Literal["solids", "hiders"]) -> Tensor:

@@ -1,8 +1,8 @@
 """The state of many rooms as tensors, and values derived from it: headings, arm, touched targets.
 
-`TensorState` is `RoomState` with an additional axis, rooms, last in every field. Poses
-are double precision, headings and joints whole steps, as in the scalar rules. Of the robot's chain of joints, zeros and
-ones cost nothing, so that the hand of a planar arm compiles to a few products a joint.
+`TensorState` is `RoomState` with an additional last axis, rooms, in every field. Poses are double precision, headings
+and joints whole steps, as in the scalar rules. Zeros and ones in the robot's chain of joints are folded away: the hand
+of a planar arm compiles to a few products per joint.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ from hrl_escape.env.tensor_geometry import Shapes, compute_distance, store
 
 
 class TensorState(NamedTuple):
-    """Everything that decides the future of each room; all fields are (rooms,) unless said."""
+    """Everything that determines the future of each room; all fields are (rooms,) unless stated."""
 
-    x: Tensor  # position of the body's axis, m, float64
-    y: Tensor  # position of the body's axis, m, float64
+    x: Tensor  # x of the body's axis, m, float64
+    y: Tensor  # y of the body's axis, m, float64
     heading_steps: Tensor  # whole turn steps, int32
     heading_offset: Tensor  # heading beyond whole steps, rad, float64
     joint_steps: Tensor  # whole joint steps from home, int32 (joints, rooms)
     joint_offsets: Tensor  # joint angles beyond whole steps, rad, float64 (joints, rooms)
     puzzle: Tensor  # the puzzle's bits, int64
     touching: Tensor  # bit i is set while target i is touched, int64
-    primitives: Tensor  # primitives since the episode began, int32
+    primitives: Tensor  # number of primitives since the episode began, int32
     noise_key: Tensor  # key of the episode's noise, int64
     instance: Tensor  # index of the room's instance, int64
-    seed: Tensor  # key of the room's own random numbers, int64
+    seed: Tensor  # key of the room's random stream, int64
     episode: Tensor  # number of the episode since seeding, int32
-    has_ended: Tensor  # 1 if the episode is over, else 0, int32
+    has_ended: Tensor  # 1 if the episode is over, otherwise 0, int32
 
 
 def compute_heading(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Heading of the base in rad, within [-pi, pi), float64 (rooms,)."""
+    """Return the heading of the base in [-pi, pi), rad, float64 (rooms,)."""
     heading = tables.headings[0][state.heading_steps]
     if not layout.has_offsets:
         return heading
@@ -51,7 +51,7 @@ def compute_heading(layout: Layout, tables: Tables, state: TensorState) -> Tenso
 
 
 def compute_rotation(layout: Layout, tables: Tables, state: TensorState) -> tuple[Tensor, Tensor]:
-    """Cosine and sine of the heading, float64 (rooms,) each; exact at quarter turns."""
+    """Return cosine and sine of the heading, float64 (rooms,) each; exact at quarter turns."""
     cos, sin = tables.headings[1][state.heading_steps], tables.headings[2][state.heading_steps]
     if not layout.has_offsets:
         return cos, sin
@@ -60,12 +60,12 @@ def compute_rotation(layout: Layout, tables: Tables, state: TensorState) -> tupl
 
 
 def make_joint_column(values: Sequence[float], like: Tensor) -> Tensor:
-    """Numbers, one a joint, for all rooms: (joints, 1), of the dtype and on the device of another tensor."""
+    """Return numbers, one per joint, as a column for all rooms: (joints, 1), with dtype and device of `like`."""
     return torch.tensor(values, dtype=like.dtype, device=like.device).unsqueeze(1)
 
 
 def compute_angles(layout: Layout, state: TensorState) -> Tensor:
-    """Joint angles in rad, float64 (joints, rooms)."""
+    """Return joint angles in rad, float64 (joints, rooms)."""
     arm = layout.arm
     angles = make_joint_column(arm.home, state.x) + state.joint_steps.to(torch.float64) * arm.step
     return angles + state.joint_offsets if layout.has_joint_offsets else angles
@@ -77,7 +77,7 @@ def place_base(layout: Layout, tables: Tables, state: TensorState, margin: float
 
 
 def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Bits of the targets that the presser touches, int64 (rooms,)."""
+    """Return the bits of the targets that the presser touches, int64 (rooms,)."""
     if not layout.targets:
         return torch.zeros_like(state.touching)
     targets: Shapes = pick(layout, tables.round_targets, state.instance)
@@ -112,7 +112,7 @@ Number: TypeAlias = Tensor | float
 
 @dataclasses.dataclass
 class _Folded:
-    """A number whose sums with 0 and products with 0 and 1 cost nothing, as an entry of a matrix."""
+    """An entry of a matrix whose sums with 0 and products with 0 and 1 need no operation."""
 
     value: Number
 
@@ -134,14 +134,14 @@ _fold: Any = np.frompyfunc(_Folded, 1, 1)
 
 
 def compute_hand(robot: Robot, angles: Tensor) -> list[Number]:
-    """Hand position in the base frame at joint angles (joints, rooms), rad.
+    """Return the hand position in the base frame at joint angles (joints, rooms), rad.
 
-    Returns x, y and z in metres, each (rooms,), or one number if no joint changes it.
+    Returns x, y and z in metres, each a tensor (rooms,), or a number if no joint changes it.
     """
     cosines, sines = torch.cos(angles), torch.sin(angles)
     position, rotation = _fold(np.zeros(3)), _fold(np.eye(3))
     for joint in robot.chain:
-        origin = _fold(joint.origin[:3].round(15))  # entries that are 0 or 1 up to rounding cost nothing
+        origin = _fold(joint.origin[:3].round(15))  # rounding makes entries that are almost 0 or 1 free
         position, rotation = position + rotation @ origin[:, 3], rotation @ origin[:, :3]
         if joint.kind == "fixed":
             continue
@@ -157,7 +157,7 @@ def compute_hand(robot: Robot, angles: Tensor) -> list[Number]:
             cos, sin = math.cos(value), math.sin(value)
         if joint.kind == "prismatic":
             position = position + rotation @ (_fold(joint.axis) * _Folded(value))
-        else:  # Rodrigues
+        else:  # Rodrigues' rotation formula
             (x, y, z), outer = joint.direction, np.outer(joint.axis, joint.axis)
             cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
             rotation = rotation @ (_fold(outer) + _fold(np.eye(3) - outer) * _Folded(cos) + _fold(cross) * _Folded(sin))

@@ -1,4 +1,4 @@
-"""The arguments that all classes of many rooms take, as one value: which rooms, what they show, where they run."""
+"""The arguments that all classes of many rooms share, as one value: instances, observation and device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
 
 
 class RoomArguments(TypedDict, total=False):
-    """Arguments of `Rooms` that constructors hand on as they are."""
+    """Arguments of `Rooms` that constructors pass on."""
 
     instance: InstanceSource | None
     instance_seed: int
@@ -31,21 +31,21 @@ class RoomArguments(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class Rooms:
-    """Many rooms that step together, room i in instance i modulo the number of instances.
+    """Many rooms that step together; room i has instance i modulo the number of instances.
 
     Attributes:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
-        instance_seed: instance seed of the first instance.
-        num_instances: number of instances of the room configuration, with seeds from `instance_seed` on.
+        instance: a `RoomInstance`, the path of a saved one, or several of them, instead of `config`.
+        instance_seed: seed of the first instance.
+        num_instances: number of instances, with consecutive seeds from `instance_seed`.
         observation: name of a vector observation.
-        resample_instance: every episode draws one of the instances.
+        resample_instance: whether every episode draws one of the instances.
         device: device of the rooms.
-        compile: fuse a step into compiled kernels; takes 5 to 30 s once for each shape of batch.
+        compile: whether to fuse a step into compiled kernels, which takes 5 to 30 s once per shape of batch.
 
     Raises:
-        ConfigError: an impossible number of rooms or instances, seed or device.
+        ConfigError: invalid number of rooms or instances, seed or device.
     """
 
     num_envs: int = 1
@@ -68,7 +68,7 @@ class Rooms:
 
     @cached_property
     def instances(self) -> tuple[RoomInstance, ...]:
-        """The instances, read or generated when first asked for."""
+        """The instances, read or generated at first use."""
         if self.instance is None:
             config = read_config(self.config)
             return tuple(generate(config, self.instance_seed + i) for i in range(self.num_instances))
@@ -79,29 +79,29 @@ class Rooms:
         return (read_instance(self.instance),)
 
     def list_single_arguments(self) -> dict[str, Any]:
-        """Arguments of an `EscapeRoomEnv` with the same rooms and observation."""
+        """Return arguments of an `EscapeRoomEnv` with the same rooms and observation."""
         rooms = self.instances
         given: dict[str, Any] = {"instance": rooms[0]} if len(rooms) == 1 else {"instances": rooms}
         return {**given, "observation": self.observation}
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides the numbers, as JSON values; instances go by their ids."""
+        """Return what determines the dynamics and observations, as JSON values; instances are given by their ids."""
         return {"num_envs": self.num_envs, "instances": [str(room.id) for room in self.instances],
                 "observation": self.observation, "resample_instance": self.resample_instance,
                 "device": str(self.device), "compile": self.compile}
 
 
 def find_device(device: str | torch.device) -> torch.device:
-    """Return the torch device of a name, after a test that it holds double precision.
+    """Return the torch device of a name, after a test of double precision.
 
     Raises:
-        ConfigError: this torch has no such device, or it lacks double precision.
+        ConfigError: this torch has no such device, or the device lacks double precision.
     """
     try:
         found = torch.empty(0, dtype=torch.float64, device=device).device
         if found.type == "meta":
             raise TypeError("its tensors hold no numbers")
         return found
-    except (RuntimeError, AssertionError, TypeError) as error:  # devices differ in the error for a missing one
-        allowed = f"a device of this torch that has double precision ({str(error).splitlines()[0]})"
+    except (RuntimeError, AssertionError, TypeError) as error:  # devices raise different errors if they are missing
+        allowed = f"a device of this torch with double precision ({str(error).splitlines()[0]})"
         raise ConfigError("device", str(device), allowed) from None

@@ -1,7 +1,7 @@
 """The kinematic Escape Room MDP as pure functions of torch tensors: one call moves every room of a batch.
 
-Nothing branches on data, so `torch.compile` fuses it, on any device. The rules are those of
-`kinematics.py`; `tests/env/test_engines_agree.py` holds the two together.
+No operation branches on data, which allows `torch.compile` to fuse the rules on any device. They equal the rules in
+`kinematics.py`; `tests/env/test_engines_agree.py` compares the two.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from hrl_escape.env.velocities import GRIPPER_LEVEL, count_levels
 
 
 class TensorTransition(NamedTuple):
-    """The outcome of one primitive in each room."""
+    """Outcome of one primitive in each room."""
 
-    state: TensorState  # the states after it
+    state: TensorState  # the next states
     reward: Tensor  # float32 (rooms,)
     terminated: Tensor  # bool (rooms,)
     truncated: Tensor  # bool (rooms,)
-    pressed: Tensor  # bits of the targets pressed by it, int64 (rooms,)
+    pressed: Tensor  # bits of the targets that the primitive pressed, int64 (rooms,)
     escaped: Tensor  # bool (rooms,)
 
 
 def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
     """Return (standard normal, uniform in (0, 1)) for a primitive of each room's episode.
 
-    Both are float64 (rooms,): single precision would round the tail of the normal away.
+    Both are float64 (rooms,), because single precision would cut off the tail of the normal.
     """
     a, b, c, _ = draw_words(key, primitive.to(torch.int64), NOISE_PURPOSE)
     scale = 1.0 / 2**32
@@ -61,7 +61,7 @@ def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorTransition:
-    """Apply one primitive, an integer (rooms,), in every room. Pure; an action outside the table does nothing."""
+    """Apply one primitive, an integer (rooms,), in every room. Pure; an action outside the table has no effect."""
     scale = None
     if layout.dynamics.is_random:
         normal, uniform = compute_noise(state.noise_key, state.primitives)
@@ -73,14 +73,14 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
 
 
 def drive_base(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorState:
-    """States after base primitives (rooms,) without noise or slips; touching is that of the new pose. Pure."""
+    """Return the states after base primitives (rooms,) without noise or slips, with contacts at the new pose. Pure."""
     moved = _turn(layout, tables, _translate(layout, tables, state, action, None), action, None)
     return moved._replace(touching=compute_touching(layout, tables, moved))
 
 
 def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
            ) -> Tensor:
-    """Actions after slips, integers (rooms,); -1 where a slip does nothing."""
+    """Actions after slips, integers (rooms,); -1 if a slip has no effect."""
     dynamics, moves = layout.dynamics, layout.actions.translations
     slips = uniform < dynamics.slip
     if dynamics.slip_kind == "stay":
@@ -105,7 +105,7 @@ def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, s
 
 
 def _find_grip(layout: Layout, action: Tensor) -> Tensor:
-    """1 where an action grips, -1 where it releases, 2 where it uses, else 0, int64 (rooms,)."""
+    """1 if an action grips, -1 if it releases, 2 if it uses, otherwise 0, int64 (rooms,)."""
     grip = torch.zeros_like(action)
     for number in layout.actions.gripper:
         grip = grip + layout.actions.primitives[number].grip * (action == number).to(grip.dtype)
@@ -132,7 +132,7 @@ def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tenso
 
 
 def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> TensorState:
-    """States after moves have pushed the things in their way, where these can be pushed."""
+    """States after moves have pushed the things in their way, if these can be pushed."""
     ahead, beyond = (_find_at(layout, tables, state, state.x + n * dx, state.y + n * dy) for n in (1.0, 2.0))
     is_shut = find_shut(layout, tables, state).gather(0, ahead.clamp(min=0).unsqueeze(0)).squeeze(0)
     pushes = ((dx != 0.0) | (dy != 0.0)) & (ahead >= 0) & is_shut
@@ -153,21 +153,21 @@ def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, ac
 
 
 def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor) -> Tensor:
-    """Return true where nothing blocks a translation, bool (rooms,)."""
+    """Return whether a translation is free, bool (rooms,)."""
     dx, dy = _compute_displacement(layout, tables, state, action, scale)
     return _find_free_fraction(layout, tables, state, dx, dy) >= 1.0
 
 
 def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share in [0, 1] of displacements that is made, float64 (rooms,): until the first contact, or all or nothing."""
+    """Fraction in [0, 1] of displacements, float64 (rooms,): up to the first contact, or all or nothing."""
     free = _find_contact(layout, tables, state, dx, dy)
     return (free >= 1.0).to(torch.float64) if layout.dynamics.blocked == "stay" else free
 
 
 def _find_contact(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share in [0, 1] of displacements until the first contact, float64 (rooms,).
+    """Fraction in [0, 1] of displacements before the first contact, float64 (rooms,).
 
-    In any direction, as of velocities, a body may graze a solid: all contacts are found in double precision then.
+    Velocities have arbitrary directions, and a body may graze a solid: all contacts are then found in double precision.
     """
     base = place_base(layout, tables, state, CONTACT_SKIN)
     solids = RoomSolids(tables.solids, tables.split_solids, None if layout.is_shared else state.instance)
@@ -186,7 +186,7 @@ def _find_contact(layout: Layout, tables: Tables, state: TensorState, dx: Tensor
 
 
 def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorBase) -> tuple[Shapes, Tensor]:
-    """Exit doors, (1, rooms), and where they are shut, bool (rooms,): they cannot close on a robot."""
+    """Exit doors, (1, rooms), and whether they are shut, bool (rooms,). They do not block a robot in the doorway."""
     doors: Shapes = pick(layout, tables.doors, state.instance)
     form, columns = pick_rules(layout, tables, state.instance)
     is_open = form.is_solved(columns, state.puzzle)
@@ -194,14 +194,14 @@ def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorB
 
 
 def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
-    """Turn the base where nothing blocks the turn."""
+    """Turn the base if the turn is free."""
     angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
     return _take_turn(layout, tables, state, _turn_freely(layout, state, action, scale),
                       _find_effects(layout, action, "turn", angle))
 
 
 def _take_turn(layout: Layout, tables: Tables, state: TensorState, turned: TensorState, angle: Tensor) -> TensorState:
-    """States in which the base has turned by an angle in rad, float64 (rooms,), where nothing blocks the turn."""
+    """States with the base turned by an angle in rad, float64 (rooms,), if the turn is free."""
     if layout.robot.base.turns_anywhere:
         return turned
     base, to = place_base(layout, tables, state, CONTACT_SKIN), compute_rotation(layout, tables, turned)
@@ -300,7 +300,7 @@ def _compute_extra(layout: Layout, tables: Tables, before: TensorState, after: T
 
 
 def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Return true where an inner door is shut, bool (inner doors, rooms)."""
+    """Return whether each inner door is shut, bool (inner doors, rooms)."""
     form, columns = pick_rules(layout, tables, state.instance)
     return form.find_shut(columns, state.puzzle, layout.inner_doors)
 
@@ -322,7 +322,7 @@ def _find_at(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: T
 
 
 def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return true where a place is inside the exit, bool (rooms,)."""
+    """Return whether a place is inside the exit, bool (rooms,)."""
     x_min, x_max, y_min, y_max = pick(layout, tables.exits, instance)
     margin = torch.minimum(torch.minimum(x - x_min, x_max - x), torch.minimum(y - y_min, y_max - y))
     return as_flags(margin >= 0.0)
@@ -332,13 +332,13 @@ def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: T
 
 
 def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> TensorTransition:
-    """Move every room for one step of time. Pure.
+    """Move every room for one time step. Pure.
 
     Args:
-        layout: of the batch; its `velocities` say what the rates mean.
-        tables: of the batch.
-        state: of the rooms.
-        rates: velocities and levels, float64 (rooms, numbers), clipped to their bounds; what is no number is 0.
+        layout: layout of the batch, with the `velocities`.
+        tables: tables of the batch.
+        state: states of the rooms.
+        rates: velocities and levels, float64 (rooms, numbers), clipped to their bounds; NaN counts as 0.
     """
     kind = layout.velocities
     assert kind is not None
@@ -366,7 +366,7 @@ def glide(layout: Layout, tables: Tables, state: TensorState, rates: Tensor) -> 
 
 
 def _find_asked(state: TensorState, levels: Sequence[Tensor]) -> Tensor:
-    """Find the act that levels of gripper and use, (rooms,) each, ask for, as `find_grip` does, int64 (rooms,)."""
+    """The act that levels of gripper and use, (rooms,) each, request, as in `find_grip`, int64 (rooms,)."""
     asked = torch.zeros_like(state.touching)
     if len(levels) > 1:
         asked = torch.where(levels[1] > GRIPPER_LEVEL, USE, asked)
@@ -376,7 +376,7 @@ def _find_asked(state: TensorState, levels: Sequence[Tensor]) -> Tensor:
 
 
 def _advance(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> TensorState:
-    """States after displacements as far as they are free; what is in the way is pushed where that frees all of it."""
+    """States after the free part of displacements. Things in the way are pushed if that frees the whole way."""
     if not layout.can_push:
         free = _find_free_fraction(layout, tables, state, dx, dy)
         return state._replace(x=state.x + free * dx, y=state.y + free * dy)
@@ -405,7 +405,7 @@ def _turn_smoothly(layout: Layout, state: TensorState, turn: Tensor) -> TensorSt
 
 
 def _bend(layout: Layout, state: TensorState, change: tuple[Tensor, ...], scale: Tensor | None) -> TensorState:
-    """States whose joints have moved by angles in rad, float64 (rooms,) each, as far as their limits."""
+    """States whose joints have moved by angles in rad, float64 (rooms,) each, up to their limits."""
     arm, by = layout.arm, torch.stack(change)
     is_still = (by == 0.0).all(0)
     low, high = (make_joint_column(ends, by) for ends in zip(*arm.limits, strict=True))
@@ -424,7 +424,7 @@ def _bend(layout: Layout, state: TensorState, change: tuple[Tensor, ...], scale:
 
 
 def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -> TensorState:
-    """Begin a new episode where a mask, bool (rooms,), says so, from those rooms' own random numbers."""
+    """Begin a new episode in the rooms of a mask, bool (rooms,), from the rooms' random streams."""
     episode = state.episode + 1
     instance, noise_key = state.instance, state.noise_key
     chosen = torch.zeros_like(instance)
@@ -439,7 +439,7 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
     if len(tables.puzzle_starts) > 1:
         begun = draw_puzzle_start(noise_key, pick(layout, tables.puzzle_start_counts, instance)[0])
     x, y, offset = tables.starts[:, chosen, column]
-    offset = offset if layout.has_offsets else state.heading_offset  # 0, and so are the joints' then
+    offset = offset if layout.has_offsets else state.heading_offset  # zero, like the offsets of the joints
     joint_offsets = torch.zeros_like(state.joint_offsets) if layout.has_joint_offsets else state.joint_offsets
     joint_steps = torch.zeros_like(state.joint_steps) if layout.robot.joints else state.joint_steps
     fresh = state._replace(
@@ -454,7 +454,7 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
 
 
 def begin(layout: Layout, tables: Tables, seed: Tensor, instance: Tensor) -> TensorState:
-    """Seed every room and begin its first episode, in an instance that is drawn anew if the layout resamples."""
+    """Seed every room and begin its first episode, in a random instance if the layout resamples."""
     rooms, device = len(seed), seed.device
     numbers = torch.zeros(rooms, dtype=torch.float64, device=device)
     steps = torch.zeros(rooms, dtype=torch.int32, device=device)

@@ -1,7 +1,7 @@
 """Room instances as tables of tensors for the batched engine, padded to one shape.
 
-`Layout` holds the constants of a compiled kernel, `Tables` the numbers of every instance in
-the order they were given. Nothing here moves a room.
+`Layout` has the constants of a compiled kernel, `Tables` the numbers of every instance in the given order. This module
+contains no dynamics.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectoriz
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Properties that all rooms of a batch share; one compiled kernel serves all batches of one layout."""
+    """Properties that all rooms of a batch share. One compiled kernel serves all batches with equal layouts."""
 
-    robot: RobotConfig  # the robot's room configuration
-    actions: ActionTable  # its action table
-    dynamics: DynamicsConfig  # noise, slip, and the part of the robot that presses
+    robot: RobotConfig  # robot section of the room configuration
+    actions: ActionTable  # action table of the robot
+    dynamics: DynamicsConfig  # noise, slips, and the part of the robot that presses
     puzzle: str  # kind of the puzzle
-    targets: int  # number of targets, that of the instance with most
-    has_door: bool  # True if any exit has a door
-    inner_doors: int  # number of inner doors, that of the instance with most
-    has_cells: bool  # True if targets are cells of a map
-    has_offsets: bool  # True if headings can leave the lattice of turn steps (noise, velocities, or a start off it)
-    is_shared: bool  # True for a single instance, so that tables need no look-up
-    is_watching: bool  # True if puzzles are updated after every primitive
-    can_push: bool  # True if moves push things
-    is_puzzle_random: bool  # True if something is random in the puzzle of any room
-    draws: bool  # True if anything is random in an episode
-    resample: bool  # True if a new episode draws another instance
-    velocities: Velocities | None = None  # what actions mean, where they are no primitives
-    reward: RewardConfig | None = None  # where it pays beside steps and exits, the same for all rooms
+    targets: int  # largest number of targets of an instance
+    has_door: bool  # whether any exit has a door
+    inner_doors: int  # largest number of inner doors of an instance
+    has_cells: bool  # whether targets are cells of a map
+    has_offsets: bool  # whether headings can leave the lattice of turn steps (noise, velocities, or a start off it)
+    is_shared: bool  # whether there is a single instance, which makes look-ups unnecessary
+    is_watching: bool  # whether puzzles are updated after every primitive
+    can_push: bool  # whether moves push things
+    is_puzzle_random: bool  # whether the puzzle of any room is random
+    draws: bool  # whether anything is random in an episode
+    resample: bool  # whether a new episode draws another instance
+    velocities: Velocities | None = None  # bounds and time step of velocities as actions, or None for primitives
+    reward: RewardConfig | None = None  # reward if it pays more than steps and exits, the same for all rooms
 
     @property
     def arm(self) -> Robot:
@@ -60,12 +60,12 @@ class Layout:
 
     @property
     def headings(self) -> int:
-        """Turn steps in a full turn."""
+        """Number of turn steps in a full turn."""
         return round(360 / self.robot.turn_step_deg)
 
     @property
     def has_joint_offsets(self) -> bool:
-        """True if joints can leave the lattice of joint steps, which takes noise or velocities."""
+        """True if joints can leave the lattice of joint steps, through noise or velocities."""
         return bool(self.dynamics.noise) or self.velocities is not None
 
 
@@ -74,35 +74,35 @@ class Tables(NamedTuple):
 
     solids: Shapes  # walls and obstacles, (solids, instances)
     split_solids: SplitShapes  # the same in single precision
-    hiders: Shapes  # the solids that can block the sight between two places on the floor
-    doors: Shapes  # (1, instances), out of the way if there is none
-    inner_doors: Shapes  # (inner doors, instances), out of the way where there are fewer
+    hiders: Shapes  # the solids that can hide one place on the floor from another
+    doors: Shapes  # exit doors, (1, instances), out of the way if there is none
+    inner_doors: Shapes  # (inner doors, instances), out of the way if absent
     inner_leaves: Tensor
-    """True for doors, which hide what is behind them, false for things in cells, bool (inner doors, instances)."""
+    """True for doors, which hide things behind them, false for things in cells, bool (inner doors, instances)."""
     ways: Tensor
-    """Bits of the inner doors on the way to each target, and last to the exit, int64 (targets + 1, instances)."""
+    """Bits of the inner doors on the way to each target and, last, to the exit, int64 (targets + 1, instances)."""
     target_counts: Tensor
-    """Targets that each instance has, int64 (1, instances); the others in its columns are out of reach."""
+    """Number of targets of each instance, int64 (1, instances); other targets in its columns are out of reach."""
     targets: Shapes  # outlines of targets, (targets, instances)
-    round_targets: Shapes  # the same in single precision, about their exact centres
-    target_z: Tensor  # height of their centres, m, float32
-    target_half_z: Tensor  # half their height, m, float32
+    round_targets: Shapes  # the same in single precision, around their exact centres
+    target_z: Tensor  # height of the targets' centres, m, float32
+    target_half_z: Tensor  # half the targets' height, m, float32
     target_reach: Tensor
-    """Largest distance on the floor from the body's axis at which it touches, m, float32; -1 if never."""
-    target_margin: Tensor  # that from the outline of a rectangular base, or from its axis over a pad, m; -1 if never
-    is_panel: Tensor  # true for the targets that are no pads, bool
+    """Largest floor distance of the body's axis that touches a target, m, float32; -1 for never."""
+    target_margin: Tensor  # the same from a rectangular base's outline, or its axis for a pad, m; -1 for never
+    is_panel: Tensor  # true for panels, false for pads, bool
     marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, instances), of width 0 without marks
     exits: Tensor  # x_min, x_max, y_min, y_max, (4, instances)
     half_sizes: Tensor  # largest |x| and |y| of the floor in the frame of observations, (2, instances)
-    rewards: Tensor  # of a primitive or a step of velocities, and of one that exits, (2, instances)
-    horizons: Tensor  # primitives or steps until truncation, int32 (1, instances)
+    rewards: Tensor  # reward of a primitive or a step of velocities, and of one that exits, (2, instances)
+    horizons: Tensor  # number of primitives or steps before truncation, int32 (1, instances)
     starts: Tensor  # x, y, heading offset, (3, starts, instances)
     start_headings: Tensor  # turn steps, int32 (starts, instances)
-    start_touching: Tensor  # bits of the targets touched there, int64 (starts, instances)
-    start_counts: Tensor  # starts that each instance has, int64 (1, instances)
-    puzzle: dict[str, Tensor]  # tables of the puzzle's own, (..., instances) but for those of all instances together
-    puzzle_starts: Tensor  # states of the puzzle in which episodes may begin, int64 (puzzle starts, instances)
-    puzzle_start_counts: Tensor  # those that each instance has, int64 (1, instances)
+    start_touching: Tensor  # bits of the targets touched at each start, int64 (starts, instances)
+    start_counts: Tensor  # number of starts of each instance, int64 (1, instances)
+    puzzle: dict[str, Tensor]  # tables of the puzzle, (..., instances) except for shared ones
+    puzzle_starts: Tensor  # initial states of the puzzle, int64 (puzzle starts, instances)
+    puzzle_start_counts: Tensor  # number of initial states of each instance, int64 (1, instances)
     headings: Tensor  # angle, cosine and sine of each turn step, (3, headings)
     total: Tensor  # number of instances, int64 ()
 
@@ -120,7 +120,7 @@ def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:
 
 
 def list_tensors(tree: Any, into: list[Tensor] | None = None) -> list[Tensor]:
-    """All tensors in nested tuples and dicts, in order; appended to a list if one is given."""
+    """List all tensors in nested tuples and dicts, in order; append to `into` if given."""
     found: list[Tensor] = [] if into is None else into
     if isinstance(tree, Tensor):
         found.append(tree)
@@ -131,17 +131,17 @@ def list_tensors(tree: Any, into: list[Tensor] | None = None) -> list[Tensor]:
 
 
 def pick(layout: Layout, table: Any, instance: Tensor) -> Any:
-    """Each room's column of tables: (..., instances) gives (..., rooms), or (..., 1) if all rooms share one."""
+    """Return each room's column of tables: (..., instances) gives (..., rooms), or (..., 1) if all rooms share one."""
     return table if layout.is_shared else map_tensors(lambda column: column[..., instance], table)
 
 
 def pick_column(layout: Layout, instance: Tensor) -> Tensor:
-    """Index of each room's column in tables, int64 (rooms,): its instance's, or 0 if all rooms share one."""
+    """Return the index of each room's column in tables, int64 (rooms,): its instance, or 0 if all rooms share one."""
     return torch.zeros_like(instance) if layout.is_shared else instance
 
 
 def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[TensorPuzzle, PuzzleTables]:
-    """The puzzle's rules, and each room's columns of their tables."""
+    """Return the puzzle's rules, and each room's columns of their tables."""
     form = get_tensor_puzzle(layout.puzzle)
     return form, {name: table if name in form.whole else pick(layout, table, instance)
                   for name, table in tables.puzzle.items()}
@@ -151,8 +151,8 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
     """Derive the layout that instances share.
 
     Raises:
-        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, reward beside steps and exits,
-            or kind or size of puzzle.
+        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, additional rewards, or kind or
+            size of puzzle.
     """
     first = instances[0]
     if first.dynamics.kind != "kinematic":
@@ -169,7 +169,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
                                                           for one in (first, other)))):
             if mine != theirs:
                 raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
-                                       f"and not {mine}): make one batch for each")
+                                   f"and not {mine}). Make one batch for each")
     noise = first.dynamics.noise
     is_puzzle_random = any(instance.puzzle.is_random for instance in instances)
     return Layout(
@@ -271,12 +271,12 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
 
 
 def list_ways(instance: RoomInstance, targets: int) -> list[int]:
-    """Bits of the inner doors on the way to each target, 0 for those that the instance lacks, and last to the exit."""
+    """Return the bits of the inner doors on the way to each target, 0 for absent targets, and last to the exit."""
     ways = [sum(1 << door for door in way) for way in instance.ways] or [0]
     return [*ways[:-1], *[0] * (targets + 1 - len(ways)), ways[-1]]
 
 
 def _stack_marks(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:
-    """Marks of every instance, 0 for targets that it lacks, (targets, `MARK_WORDS`, instances)."""
+    """Marks of every instance, 0 for absent targets, (targets, `MARK_WORDS`, instances)."""
     rows = [make_mark_rows(get_mixin(instance.puzzle, Marked).marks) for instance in instances]
     return np.stack([np.pad(row, ((0, targets - len(row)), (0, 0))) for row in rows], axis=-1)

@@ -1,7 +1,7 @@
-"""The Bullet engine: one room, kinematic or rigid, the cameras that look at it, its window, and pybullet's clients.
+"""The Bullet engine: one room, kinematic or rigid, its cameras, its window, and pybullet's clients.
 
-Importing any module of this package imports pybullet first, here, without the line that its C
-code writes to stderr. Everything else that C libraries write reaches the user at once.
+Importing any module of this package imports pybullet here first, without the line that its C code writes to stderr. All
+other output of C libraries is passed on.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from hrl_escape.errors import UnsupportedError
 
 @contextmanager
 def _drop_stderr_lines(start: bytes) -> Iterator[None]:
-    """Hold back what is written to file descriptor 2, then pass on the lines that do not begin with `start`."""
+    """Capture file descriptor 2, then pass on the lines that do not begin with `start`."""
     try:
         written = tempfile.TemporaryFile()
         stderr = os.dup(2)
-    except OSError:  # no space for a file, or stderr is closed and nobody reads it
+    except OSError:  # there is no space for a file, or stderr is closed
         yield
         return
     with written:
@@ -40,20 +40,20 @@ with _drop_stderr_lines(b"pybullet build time"):
 
 
 def connect(window: bool = False) -> int:
-    """Open a physics client; returns pybullet's number of it.
+    """Open a physics client and return pybullet's number of it.
 
     Raises:
         UnsupportedError: a window without a display, or too many clients in this process.
     """
     if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-        raise UnsupportedError("Bullet's window needs a display (DISPLAY is not set); use pictures (rgb_array) instead")
+        raise UnsupportedError("Bullet's window needs a display, and DISPLAY is not set. Use render_mode='rgb_array'")
     client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
     if client < 0:
-        raise UnsupportedError("Bullet gives no further physics client; close rooms that are no longer used")
+        raise UnsupportedError("Bullet has no free physics client. Close rooms that are no longer used")
     return client
 
 
 def disconnect(client: int) -> None:
-    """Free a physics client, if it is there yet."""
+    """Free a physics client, if it exists."""
     if pybullet.isConnected(client):
         pybullet.disconnect(client)

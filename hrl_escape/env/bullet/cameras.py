@@ -1,12 +1,12 @@
 """Pictures of a room through Bullet's software renderer (TinyRenderer), which needs no display or GPU.
 
-Its cameras are those of `env/engine.py`. They see a decorated copy of the room, the `Stage`, in a physics client of its
-own: so walls can be cut open, buttons have frames and objects cast shadows, and none of this can touch the robot or
-change a saved state. Metres, radians, the room frame.
+`env/engine.py` lists the cameras. They show a decorated copy of the room, the `Stage`, in its own physics client. Walls
+can therefore be cut open, buttons have frames and objects cast shadows without any effect on the robot or a saved
+state. Metres, radians, the room frame.
 
-Their edges are softened by FXAA (Lottes, NVIDIA 2009), vectorised over the edge pixels: steps of brightness are
-followed along the edge to both ends, and a pixel is mixed with its neighbour across. Four samples a pixel cost four
-times the renderer's time.
+FXAA (Lottes, NVIDIA 2009), vectorised over the edge pixels, softens edges: it follows steps of brightness along the
+edge to both ends, and mixes a pixel with its neighbour across the edge. Four samples per pixel would take four times
+the renderer's time.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.files import temporary_folder
 
 SUN = (-4.0, 2.6, 9.0)
-"""Direction of the light; the shadows that `meshes.py` lays on the floor agree with it."""
+"""Direction of the light, the same as for the shadows of `meshes.py`."""
 CURB = 0.3
-"""Height left of a wall that is cut open, m."""
+"""Remaining height of a wall that is cut open, m."""
 
-_FINE = 3  # the trail is drawn this many times larger, for soft edges
+_FINE = 3  # scale at which the trail is drawn, for soft edges
 _GROUND = "#f7f8fa"
-_AWAY = (0.0, 0.0, 1e6)  # straight up: never in view
+_AWAY = (0.0, 0.0, 1e6)  # far above, where no camera looks
 _STILL = (0.0, 0.0, 0.0, 1.0)
 
 
 class _View(NamedTuple):
-    """A camera's place and lens; distances in m, `field` is the vertical angle of view in degrees."""
+    """A camera's position and lens; distances in m, `field` is the vertical angle of view in degrees."""
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
@@ -62,7 +62,7 @@ class _View(NamedTuple):
 
 
 class BulletRenderer:
-    """Renderer of one room; its `Stage` is built for the first picture and freed with the renderer."""
+    """Renderer of one room. Its `Stage` is built for the first picture and freed with the renderer."""
 
     def __init__(self, instance: RoomInstance) -> None:
         self._instance = instance
@@ -103,7 +103,7 @@ def _view_overhead(rules: Kinematics, state: RoomState, aspect: float) -> _View:
 
 
 def _view_robot(rules: Kinematics, state: RoomState, aspect: float) -> _View:
-    """Mounted above the front edge of the base, looking 12 degrees down."""
+    """Camera above the front edge of the base, 12 degrees down."""
     heading, robot = rules.get_heading(state), rules.instance.robot
     cos, sin = math.cos(heading), math.sin(heading)
     forward = 0.9 * robot.base.front
@@ -121,7 +121,7 @@ def _reach(instance: RoomInstance) -> float:
 
 
 def _hides(standing: Standing, rules: Kinematics, state: RoomState, eye: tuple[float, float, float]) -> bool:
-    """Return whether something stands between the eye and the near side of the robot."""
+    """Return whether something is between the eye and the near side of the robot."""
     shape, radius = standing.shape, rules.instance.robot.outer_radius
     (ex, ey, ez), x, y = eye, state.x, state.y
     near = 1.0 - 1.2 * radius / math.dist((ex, ey), (x, y))
@@ -162,7 +162,7 @@ def _take(client: int, view: _View, width: int, height: int, trail: Sequence[tup
 
 
 def _make_backdrop(view: _View, height: int) -> NDArray[np.uint8]:
-    """One colour a row: sky above the horizon, plain ground below."""
+    """One colour per row: sky above the horizon, plain ground below."""
     down = math.atan2(view.eye[2] - view.target[2], math.dist(view.eye[:2], view.target[:2]))
     rows = (0.5 - (np.arange(height) + 0.5) / height) * 2 * math.tan(math.radians(view.field / 2))
     elevation = np.arctan(rows) - down
@@ -195,7 +195,7 @@ def _draw_trail(picture: NDArray[np.uint8], depths: NDArray[np.float32], view: _
 
 
 def _make_ribbon(points: NDArray[np.float64], width: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Cut a path on the floor into short quads: corners (n, 4, 3) and middles (n, 3)."""
+    """Cut a path on the floor into short quads: corners (n, 4, 3) and centres (n, 3)."""
     moves = np.diff(points, axis=0)
     lengths = np.hypot(*moves.T)
     counts = np.ceil(lengths / (2 * width)).astype(int)
@@ -232,9 +232,9 @@ _SUBPIXEL = 0.75
 
 
 def soften_edges(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return the picture, (height, width, 3) uint8 RGB, without stairs along its edges."""
+    """Return the picture, (height, width, 3) uint8 RGB, with softened edges."""
     height, width = picture.shape[:2]
-    margin = _SEARCH[-1] + 1  # edges go on straight beyond the border
+    margin = _SEARCH[-1] + 1  # edges are extended straight beyond the border
     luma = np.pad(picture @ _LUMA, margin, mode="edge")
     stride = width + 2 * margin
 
@@ -255,7 +255,7 @@ def soften_edges(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     level = 2 * abs(n + s - 2 * own) + abs(ne + se - 2 * e) + abs(nw + sw - 2 * w)
     upright = 2 * abs(w + e - 2 * own) + abs(nw + ne - 2 * n) + abs(sw + se - 2 * s)
     is_level = level >= upright
-    across = np.where(is_level, stride, 1)  # step over the edge; the edge runs along the other axis
+    across = np.where(is_level, stride, 1)  # step across the edge, which runs along the other axis
     along = np.where(is_level, 1, stride)
     before, after = np.where(is_level, n, w), np.where(is_level, s, e)
     is_before = abs(before - own) >= abs(after - own)
@@ -267,7 +267,7 @@ def soften_edges(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     second, second_end = _follow(flat, at, across, along, edge, gradient)
     near_end = np.where(first < second, first_end, second_end)
     shift = 0.5 - np.minimum(first, second) / (first + second)
-    shift = np.where((near_end < 0.0) != (own < edge), shift, 0.0)  # this pixel is on the far side: leave it
+    shift = np.where((near_end < 0.0) != (own < edge), shift, 0.0)  # pixels on the far side stay as they are
     blend = (2 * (n + s + w + e) + nw + ne + sw + se) / 12
     rough = np.clip(abs(blend - own) / contrast[rows, columns], 0.0, 1.0)
     shift = np.maximum(shift, _SUBPIXEL * (rough * rough * (3 - 2 * rough)) ** 2)[:, None]
@@ -282,10 +282,10 @@ def soften_edges(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _follow(luma: Values, at: Places, across: Places, along: Places, edge: Values, gradient: Values
             ) -> tuple[Values, Values]:
-    """Walk along an edge until its brightness changes.
+    """Follow an edge until its brightness changes.
 
     Returns:
-        How far its end is, in pixels, and the difference of brightness found there.
+        Distance to its end, in pixels, and the difference of brightness there.
     """
     distance = np.full(len(at), _SEARCH[-1], dtype=np.float32)
     found = np.zeros(len(at), dtype=np.float32)
@@ -305,23 +305,23 @@ def _follow(luma: Values, at: Places, across: Places, along: Places, edge: Value
 
 @dataclass
 class Standing:
-    """Something upright that may hide the robot from a camera."""
+    """Something upright that can hide the robot from a camera."""
 
-    shape: Footprint  # its outline in the room
-    high: float  # its greatest height, m
+    shape: Footprint  # outline in the room
+    high: float  # largest height, m
     whole: list[int]  # bodies that show it whole
-    cut: list[int]  # bodies that show its lowest part only
-    is_cut: bool = False  # True while the cut form is shown
+    cut: list[int]  # bodies that show only its lowest part
+    is_cut: bool = False  # whether the cut form is shown
     pose: tuple[tuple[float, float, float], tuple[float, float, float, float]] = ((0.0, 0.0, 0.0), _STILL)
     """Position and quaternion of the bodies."""
 
 
 class Stage:
-    """A copy of one room for cameras, or for Bullet's window; `client` is pybullet's number of it.
+    """A copy of one room for cameras, or for Bullet's window; `client` is pybullet's number of its client.
 
     Attributes:
         model: parts and poses of the room.
-        roles: role of each body's part, by the body's number; the arm is "arm".
+        roles: role of each body's part, by the id of the body; the arm is "arm".
         standing: everything that can be cut open for a better view.
 
     Raises:
@@ -363,7 +363,7 @@ class Stage:
     # --- following the room ------------------------------------------------------------
 
     def follow(self, state: RoomState) -> None:
-        """Bring the copy into a state."""
+        """Update the copy to a state."""
         pose, look, model = self.model.make_pose(state), self.model.make_look(state), self.model
         turn = pybullet.getQuaternionFromEuler((pose.roll, pose.pitch, pose.heading))
         at = (pose.x, pose.y, pose.z)
@@ -380,7 +380,7 @@ class Stage:
                 self._place(shadow, (x, y, 0.0), _STILL)
         if self._leaf is not None and model.instance.door is not None:
             yaw = model.instance.door.yaw + pose.door
-            self._leaf.shape = model.place_leaf(0.0).shape  # the shut door, which decides where the view is cut
+            self._leaf.shape = model.place_leaf(0.0).shape  # the shut door decides whether the view is cut
             self._move(self._leaf, (*model.hinge, 0.0), pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)))
         for standing, is_shut in zip(self._inner_doors, look.shut, strict=True):
             self._move(standing, (0.0, 0.0, 0.0) if is_shut else _AWAY, _STILL)
@@ -431,16 +431,16 @@ class Stage:
 
     def _add_part(self, part: RoomPart, most: float = math.inf, shown: bool = True) -> int:
         mesh = meshes.make_part(part, most)
-        # every face is lit as if it faced the sun, so panels are bright on every wall
+        # Faces are lit as if they faced the sun, which makes panels bright on every wall.
         return self._add(mesh.facing(SUN) if part.role == "off" else mesh, part.role, shown=shown)
 
     def _add_standing(self, *parts: RoomPart) -> Standing:
-        """Add upright parts that are cut open together, each whole and cut."""
+        """Add upright parts that are cut open together, each in its whole and its cut form."""
         forms: list[list[int]] = []
         for most, shown in ((math.inf, True), (CURB, False)):
             bodies = [self._add_part(part, most, shown) for part in parts]
             for part in parts:
-                if part.role == "wall":  # a darker top makes the floor plan readable from above
+                if part.role == "wall":  # a darker top shows the floor plan from above
                     height = min(part.high, most)
                     top = RoomPart("wall top", part.shape, height, height + 2 * LAYER)
                     bodies.append(self._add_part(top, shown=shown))
@@ -450,7 +450,7 @@ class Stage:
         return self.standing[-1]
 
     def _add_prop_shadow(self, part: RoomPart) -> int:
-        """Add a block's shadow: a disc, the same at every yaw of the block."""
+        """Add a block's shadow: a disc, because that is the same at every yaw."""
         radius = 1.1 * part.shape.half_x
         disc = meshes.outline_footprint(make_footprint(0.0, 0.0, radius, radius, is_disc=True))
         return self._add(make_shadow(disc, part.high - part.low, 4 * LAYER), "shadow")
@@ -471,7 +471,7 @@ class Stage:
 
 
 def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str, folder: Path) -> str:
-    """Keep only the visual shapes of the arm; cylinders become slimmer, so that the hand stands out."""
+    """Keep only the visual shapes of the arm, with slimmer cylinders, which makes the hand visible."""
     root = ElementTree.fromstring(robot.urdf)
     drop_shapes(root, "collision")
     if config.kind == "urdf":
@@ -511,8 +511,8 @@ def _make_material(colour: str) -> ElementTree.Element:
 class _Rows:
     """A list of [x, y, z] that reuses the same list objects for every mesh.
 
-    pybullet never drops its references to the lists that `createVisualShape` reads: the outer lists and each vertex.
-    Every shape is therefore read from the same lists, filled anew.
+    pybullet never releases its references to the lists that `createVisualShape` reads, outer lists and vertices. Every
+    shape is therefore read from the same lists, with new values.
     """
 
     def __init__(self) -> None:
@@ -520,7 +520,7 @@ class _Rows:
         self._shown: list[list[float]] = []
 
     def fill(self, rows: NDArray[Any]) -> list[list[float]]:
-        """The rows, in lists that the next call fills again."""
+        """Return the rows in lists that the next call overwrites."""
         self._made.extend([0.0, 0.0, 0.0] for _ in range(len(rows) - len(self._made)))
         for made, row in zip(self._made, rows.tolist(), strict=False):
             made[:] = row
@@ -534,7 +534,7 @@ _INDICES: list[int] = []
 
 
 def create_mesh_shape(client: int, mesh: Mesh, colour: tuple[float, ...]) -> int:
-    """Make a matt visual shape of a colour (red, green, blue and opacity, 0 to 1) in a client; returns its number."""
+    """Make a matt visual shape of a colour (red, green, blue and opacity, 0 to 1) in a client; return its id."""
     with _LOCK:
         _INDICES[:] = mesh.triangles.ravel().tolist()
         return pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices),

@@ -1,7 +1,7 @@
 """The Bullet engine: one room that moves, under kinematic or physics dynamics, and its window.
 
-Kinematic rooms are moved by `Kinematics` and have no physics client; physics rooms are moved by `physics.py` in one of
-their own. A window shows a `Stage`. It knows no Gymnasium, no observations and no cameras.
+`Kinematics` moves kinematic rooms, which have no physics client; `physics.py` moves physics rooms in their own client.
+A window shows a `Stage`. The engine is independent of Gymnasium, observations and cameras.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from hrl_escape.errors import ClosedError
 
 
 class BulletRoom:
-    """One room that moves. Rooms are independent; under physics, or with a window, one owns a client until `close`.
+    """One room that moves. Rooms are independent. Under physics, or with a window, a room has a client until `close`.
 
     Attributes:
         instance: the room.
         rules: the room's rules (`Kinematics`, or `Rules` under physics).
-        physics: what moves the room under physics, with its world; else None.
-        state: the state now. It is immutable, so to keep it is to save it.
+        physics: dynamics of the room under physics, with its world; otherwise None.
+        state: current state, immutable; keeping a reference saves it.
     """
 
     def __init__(self, instance: RoomInstance, window: bool = False) -> None:
-        """Build the room, and open Bullet's window if one is wanted; it begins an episode at its first start.
+        """Build the room and begin an episode at its first start. If `window`, open Bullet's window.
 
         Raises:
             UnsupportedError: a window without a display; under physics, a gripper, or too many rooms open in this
@@ -47,20 +47,20 @@ class BulletRoom:
     # --- the episode ---------------------------------------------------------------------
 
     def reset(self, start: Start, noise_key: int = 0) -> RoomState:
-        """Begin an episode at a pose: arm at home, puzzle at its start; the key decides noise and slip."""
+        """Begin an episode at a start: arm at home, initial puzzle state. The key determines noise and slips."""
         self._require_open()
         self._enter(self._mover.make_state(start, noise_key))
         return self.state
 
     def set_state(self, state: RoomState) -> None:
-        """Continue from a state; stepping from it is identical to stepping from the original.
+        """Continue from a state, exactly as the room that returned it.
 
-        States are plain values: they may come from another room of the same instance, or another
-        process. Under physics, one without `physics` (a planner's, say) is at rest at its pose
-        with props and door at their first poses.
+        States are plain values: they can come from another room of the same instance, or another process. Under
+        physics, a state without `physics` (from a planner, for example) is at rest at its pose, with props and door in
+        their initial poses.
 
         Raises:
-            StateError: a state that no episode in this room could be in.
+            StateError: the state is impossible in this room.
         """
         self._require_open()
         check_state(self.rules, state)
@@ -69,10 +69,10 @@ class BulletRoom:
         self._enter(state)
 
     def step(self, action: int) -> Transition:
-        """Apply one primitive, a number of `rules.actions`, which is not checked.
+        """Apply one primitive, an index of `rules.actions` that is not checked.
 
         Raises:
-            ClosedError: the room was closed, or its window.
+            ClosedError: the room or its window is closed.
         """
         return self._move(self._mover.step, action)
 
@@ -98,7 +98,7 @@ class BulletRoom:
             self._window.follow(state)
 
     def show(self, rate: float) -> None:
-        """Keep Bullet's window watchable: wait until 1 / `rate` seconds after the last call."""
+        """Limit the window to `rate` frames a second: wait until 1 / `rate` seconds after the last call."""
         self._require_open()
         now = time.monotonic()
         time.sleep(min(max(self._next_frame - now, 0.0), 1.0 / rate))
@@ -108,12 +108,12 @@ class BulletRoom:
 
     @property
     def is_open(self) -> bool:
-        """False once the room, or its window, was closed."""
+        """True until the room or its window is closed."""
         clients = [owner.client for owner in (self.physics, self._window) if owner is not None]
         return not self._is_closed and all(map(pybullet.isConnected, clients))
 
     def close(self) -> None:
-        """Free the physics clients; safe to call twice. Deleting the room frees them too."""
+        """Free the physics clients; further calls have no effect. Deleting the room frees them too."""
         self._is_closed = True
         for owner in (self.physics, self._window):
             if owner is not None:
@@ -121,7 +121,7 @@ class BulletRoom:
 
     def _require_open(self) -> None:
         if self._is_closed:
-            raise ClosedError("this room is closed; make a new one")
+            raise ClosedError("this room is closed. Make a new one")
         if not self.is_open:
             self.close()
-            raise ClosedError("this room's window was closed; make a new one")
+            raise ClosedError("this room's window is closed. Make a new one")

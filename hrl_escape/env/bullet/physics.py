@@ -1,19 +1,16 @@
 """Physics dynamics: primitives executed by Bullet's rigid bodies, in sub-steps of 1/240 s.
 
-The base stands on a planar carriage (it does not tip) whose velocities are constrained to a
-trapezoid profile; joints follow position motors; walls, panels, blocks, the door and the arm
-are solid. A primitive lasts as long as its motion takes at 1 m/s or 90 degrees a second, at least
-0.25 s, and 0.1 s more to settle. A push into something solid stops or slides along it, so a
-displacement is only approximately the nominal one; a base that wedges itself in, ever deeper in the
-sub-steps of one motion, stops.
-A target is touched once the presser pushed against it with `PRESS_FORCE`, until it has left the
-press margin. Puzzle, reward and exit are those of `Rules`.
+The base is on a planar carriage (it does not tip) whose velocities follow a trapezoid profile. Position motors move the
+joints. Walls, panels, blocks, the door and the arm are solid. A primitive lasts as long as its motion takes at 1 m/s or
+90 degrees per second, at least 0.25 s, and 0.1 s more to settle. A push into a solid stops or slides along it, and
+displacements are therefore only approximately nominal. A base that wedges itself deeper into something in the sub-steps
+of one motion stops. A target counts as touched once the presser pushes against it with `PRESS_FORCE`, until the presser
+leaves the press margin. `Rules` provides puzzle, reward and exit.
 
-Everything that Bullet carries from one primitive to the next is written out as numbers
-(`PhysicsState`) at the end of a primitive and written back, with all cached contacts
-forgotten, at the beginning of the next. A transition is therefore a pure function of
-instance, state and action: states can be kept, compared, and continued bit for bit in any
-room of the same instance, in any process. Metres, radians, the room frame.
+At the end of a primitive, everything that Bullet carries to the next is written out as numbers (`PhysicsState`). At the
+beginning of the next it is written back, without cached contacts. A transition is therefore a pure function of
+instance, state and action: states can be stored, compared, and continued bit for bit in any room of the same instance,
+in any process. Metres, radians, the room frame.
 """
 
 from __future__ import annotations
@@ -49,11 +46,11 @@ PRESS_FORCE = 5.0
 """A target is pressed when the presser pushes against it with this normal force, N."""
 DRIVE_JOINTS = tuple(f"{BASE_LINK}-{axis}" for axis in ("x", "y", "yaw"))
 HINGE_LIMIT = math.radians(120)
-"""A door opens this far either way; beyond a quarter turn it stands clear of the doorway."""
+"""Largest angle of a door either way. Beyond a quarter turn the door is clear of the doorway."""
 
-_SPEED, _TURN_SPEED = 1.0, math.pi / 2  # mean speed of the base, m/s; of turns and joints, rad/s
-_SHORTEST, _SETTLE = 0.25, 0.1  # shortest motion and the time to come to rest after it, s
-_RAMP = 0.2  # share of a motion spent speeding up, and again slowing down
+_SPEED, _TURN_SPEED = 1.0, math.pi / 2  # mean speed of the base, m/s, and of turns and joints, rad/s
+_SHORTEST, _SETTLE = 0.25, 0.1  # shortest motion, and the time to come to rest after it, s
+_RAMP = 0.2  # fraction of a motion for acceleration, and again for deceleration
 _ACCELERATION = 20.0  # largest push of the carriage per robot mass, m/s^2; turning torques assume a lever of 1 m
 _LIMIT_SLACK = 1e-3  # largest offset of a joint from its lattice at its limit, rad
 _JOINT_EFFORT = 500.0  # N m, if the URDF states none
@@ -62,8 +59,8 @@ _CLOSING_SPEED = 0.5  # rad/s
 _LOCKED_WITHIN = math.radians(2)
 _WEDGED = 5e-3  # m
 _FRICTION = 0.8  # of blocks and floor
-_POSITION_GAIN = 0.3  # share of a joint's error that its motor corrects in one sub-step
-_AT_REST = 0.01  # m/s and rad/s, below which a block that nothing touches stays where it is
+_POSITION_GAIN = 0.3  # fraction of a joint's error that its motor corrects in one sub-step
+_AT_REST = 0.01  # m/s and rad/s; a slower block without contacts stays in place
 _AWAY = 1000.0  # m; far from every contact
 _FREE, _FIXED, _GROUND = 1, 2, 4  # collision groups
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
@@ -71,34 +68,34 @@ _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True)
 class SceneBodies:
-    """PyBullet body and joint ids of a room."""
+    """PyBullet ids of the bodies and joints of a room."""
 
     robot: int  # body of the robot
-    base_link: int  # link of the robot that is its base
-    hand_link: int  # link with the hand at its origin
+    base_link: int  # base link of the robot
+    hand_link: int  # link whose origin is the hand
     drives: tuple[int, ...]  # joints x, y, yaw of the carriage
-    joints: tuple[int, ...]  # the joints that primitives move, in the order of the action space
-    rest_joints: tuple[tuple[int, float], ...]  # the other moving joints and the angles they keep
+    joints: tuple[int, ...]  # joints that primitives move, in the order of the action space
+    rest_joints: tuple[tuple[int, float], ...]  # other moving joints with their constant angles
     mimics: tuple[tuple[int, int, float, float], ...]  # joints that follow one of `joints`: its number, factor, offset
     solids: tuple[int, ...]  # walls and obstacles, in the instance's order
-    door: int | None  # the door's body, or None
-    targets: tuple[int, ...]  # in the puzzle's order
-    blocks: tuple[tuple[int, int], ...]  # body of each block, and its number among the props
-    floors: tuple[int, ...]  # the room's floor, and that of the alcove behind a door
+    door: int | None  # exit door, or None
+    targets: tuple[int, ...]  # targets, in the puzzle's order
+    blocks: tuple[tuple[int, int], ...]  # body of each block, and its index among the props
+    floors: tuple[int, ...]  # floors of the room and of the alcove behind a door
 
 
 class PhysicsState(NamedTuple):
-    """Bullet's part of a state, in addition to the pose in `RoomState`; plain numbers, hashable."""
+    """Bullet's part of a state, in addition to the pose in `RoomState`: plain hashable numbers."""
 
-    drive_velocities: tuple[float, float, float]  # of the base along x and y, m/s, and about z, rad/s
-    joint_velocities: tuple[float, ...]  # of the joints that primitives move, rad/s
+    drive_velocities: tuple[float, float, float]  # velocity of the base along x and y, m/s, and about z, rad/s
+    joint_velocities: tuple[float, ...]  # velocities of the joints that primitives move, rad/s
     door: tuple[float, ...]  # angle of the hinge, rad, and its velocity, rad/s; empty without a door
     props: tuple[tuple[float, ...], ...]
-    """For each prop position (3), quaternion x y z w (4), velocity (3) and angular velocity (3), in the room frame."""
+    """Position (3), quaternion x y z w (4), velocity (3) and angular velocity (3) of each prop, in the room frame."""
 
 
 class PhysicsDynamics:
-    """Moves one room by rigid-body dynamics, in a world of its own: pybullet's `client`, and the ids of its `scene`.
+    """Rigid-body dynamics of one room in its own world: pybullet's `client`, and the ids of its `scene`.
 
     Raises:
         UnsupportedError: the robot has a gripper, or too many rooms in this process have a client.
@@ -106,8 +103,8 @@ class PhysicsDynamics:
 
     def __init__(self, rules: Rules) -> None:
         if rules.instance.robot.gripper:
-            raise UnsupportedError(f"{rules.instance.name!r} is a room of things to grip under dynamics.kind = "
-                                   "'physics', which knows no grips: set dynamics.kind = 'kinematic'")
+            raise UnsupportedError(f"{rules.instance.name!r} needs a gripper, which dynamics.kind = 'physics' does not "
+                                   "support. Set dynamics.kind = 'kinematic'")
         self.client = client = connect()
         self.close = weakref.finalize(self, disconnect, client)
         self.scene = scene = build_scene(client, rules.instance, rules.robot)
@@ -124,8 +121,8 @@ class PhysicsDynamics:
     def _configure(self) -> None:
         client, scene = self.client, self.scene
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
-        # sorted pairs make contacts independent of history; without inner iterations Bullet sweeps over the
-        # motors only once as soon as anything touches, and a loaded arm sags by degrees
+        # Sorted pairs make contacts independent of history. Without inner iterations Bullet solves the motors only
+        # once as soon as there is a contact, and a loaded arm sags by degrees.
         pybullet.setPhysicsEngineParameter(fixedTimeStep=1 / RATE, deterministicOverlappingPairs=1,
                                            numNonContactInnerIterations=5, physicsClientId=client)
         mass = 0.0
@@ -146,7 +143,7 @@ class PhysicsDynamics:
     # --- states ----------------------------------------------------------------------------
 
     def make_state(self, start: Start, noise_key: int = 0) -> RoomState:
-        """State at the beginning of an episode: everything at rest in its first place."""
+        """Return the state at the beginning of an episode: everything at rest in its initial pose."""
         return self._rules.make_state(start, noise_key)._replace(physics=self._make_rest())
 
     def _make_rest(self) -> PhysicsState:
@@ -182,7 +179,7 @@ class PhysicsDynamics:
                              "props")
 
     def write(self, state: RoomState) -> None:
-        """Put the world into a state; one without `physics` is at rest, with props at their first poses."""
+        """Set the world to a state. Without `physics` it is at rest, with props in their initial poses."""
         client, scene = self.client, self.scene
         physics: PhysicsState = state.physics or self._make_rest()
         self._forget_contacts()
@@ -203,7 +200,7 @@ class PhysicsDynamics:
             pybullet.resetBaseVelocity(body, pose[7:10], pose[10:], client)
 
     def _forget_contacts(self) -> None:
-        """Move all movable bodies apart and back, so that Bullet drops its cached contacts and pairs."""
+        """Move all movable bodies apart and back, which makes Bullet drop its cached contacts and pairs."""
         client, scene = self.client, self.scene
         bodies = (scene.robot, *(body for body, _ in self.scene.blocks))
         for number, body in enumerate(bodies):
@@ -216,11 +213,11 @@ class PhysicsDynamics:
             pybullet.resetBasePositionAndOrientation(scene.door, *self._door_pose, client)
 
     def _read(self, before: RoomState, pressed: int) -> RoomState:
-        """State after the motion; presses are not judged yet."""
+        """State after the motion, before presses are judged."""
         client, scene, rules = self.client, self.scene, self._rules
         drives = pybullet.getJointStates(scene.robot, scene.drives, client)
         x, y, heading = (drive[0] for drive in drives)
-        reach_x, reach_y = self._reach  # against the alcove's far wall a contact gives way a millimetre beyond the exit
+        reach_x, reach_y = self._reach  # contact with the alcove's far wall yields by a millimetre beyond the exit
         x, y = min(max(x, -reach_x), reach_x), min(max(y, -reach_y), reach_y)
         steps, offset = rules.split_heading(heading)
         joints = pybullet.getJointStates(scene.robot, scene.joints, client) if scene.joints else ()
@@ -231,7 +228,7 @@ class PhysicsDynamics:
         props = list((before.physics or self._make_rest()).props)
         moved = self._find_moved(tuple(props))
         for body, number in self.scene.blocks:
-            if body not in moved:  # resting contacts creep by micrometres in every primitive
+            if body not in moved:  # resting contacts drift by micrometres in every primitive
                 props[number] = (*props[number][:7], *(0.0,) * 6)
                 continue
             position, turn = pybullet.getBasePositionAndOrientation(body, client)
@@ -239,7 +236,7 @@ class PhysicsDynamics:
             props[number] = (*position, *turn, *velocity, *spin)
         physics = PhysicsState(tuple(drive[1] for drive in drives), tuple(joint[1] for joint in joints), door,
                                tuple(props))
-        # a panel that was pressed counts as touched until the presser has left it
+        # A pressed panel counts as touched until the presser leaves it.
         near = rules.compute_touching(x, y, steps, offset, joint_steps, joint_offsets)
         return before._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, joint_steps=joint_steps,
                                joint_offsets=joint_offsets, touching=pressed | before.touching & near, physics=physics)
@@ -247,7 +244,7 @@ class PhysicsDynamics:
     # --- motion ----------------------------------------------------------------------------
 
     def step(self, state: RoomState, action: int) -> Transition:
-        """Run one primitive; a pure function, except that it leaves Bullet's world in the state it returns."""
+        """Run one primitive. The result is pure; as a side effect, Bullet's world is left in the returned state."""
         primitive, scale = self._rules.actions.primitives[action], 1.0
         dynamics = self._instance.dynamics
         if dynamics.noise or dynamics.slip:
@@ -262,7 +259,7 @@ class PhysicsDynamics:
         return self._judge(state, pressed)
 
     def glide(self, state: RoomState, motion: Glide) -> Transition:
-        """Run a short motion at an even rate in place of a primitive; as pure as `step`, noise and slip left out."""
+        """Run a short motion at a constant rate instead of a primitive, without noise and slips; as pure as `step`."""
         self.write(state)
         self._hold(state)
         count = max(1, round(motion.seconds * RATE))
@@ -273,13 +270,13 @@ class PhysicsDynamics:
         return self._judge(state, pressed)
 
     def _judge(self, state: RoomState, pressed: int) -> Transition:
-        """Transition to where Bullet's world is after the motion."""
+        """Transition to the state of Bullet's world after the motion."""
         moved = self._read(state, pressed)
         poses = tuple(get_planar_pose(numbers) for numbers in moved.physics.props)
         return self._rules.judge(state, moved, poses)
 
     def _hold(self, state: RoomState) -> None:
-        """Arm motors hold the joints; the door's hinge is locked, or free once solved."""
+        """Hold the joints with motors; lock the door's hinge, or free it once the puzzle is solved."""
         client, scene = self.client, self.scene
         angles = self._rules.get_angles(state)
         held = (*zip(scene.joints, angles, self._efforts, strict=True),
@@ -317,10 +314,11 @@ class PhysicsDynamics:
 
     def _run(self, profile: Sequence[float], way: tuple[float, float, float],
              joints: Sequence[tuple[int, float, float]] = ()) -> int:
-        """Simulate one sub-step for each rate of a profile, in 1/s; returns the bits of the targets that were pressed.
+        """Simulate one sub-step for each rate of a profile, in 1/s; return the bits of the targets that were pressed.
 
-        The base goes a `way` along x and y, m, and about z, rad. `joints` are number, angle and displacement, rad, of
-        each that moves. The base stops where it is pressed ever deeper into something, `_WEDGED` deep and more.
+        `way` is the displacement of the base along x and y, m, and about z, rad. `joints` has index, angle and
+        displacement, rad, of each moving joint. The base stops if it is pressed ever deeper into something, by
+        `_WEDGED` or more.
         """
         client, scene, pressed, done = self.client, self.scene, 0, 0.0
         depth, is_wedged = math.inf, False
@@ -351,7 +349,7 @@ class PhysicsDynamics:
         return pressed
 
     def _find_moved(self, props: tuple[tuple[float, ...], ...]) -> set[int]:
-        """Bodies of the blocks that moved since these poses and velocities, or were touched by something that moves."""
+        """Bodies of the blocks that moved since these poses and velocities, or that something moving touched."""
         movers = {self.scene.robot, self.scene.door}
         moved = {body for body, number in self.scene.blocks if max(map(abs, props[number][7:])) > _AT_REST}
         while True:
@@ -361,7 +359,7 @@ class PhysicsDynamics:
             moved |= more
 
     def _find_pressed(self, points: Sequence[tuple[Any, ...]]) -> int:
-        """Bits of the targets that the presser pushes against at the robot's contact points."""
+        """Bits of the targets that the presser pushes against, from the robot's contact points."""
         pressed = 0
         for point in points:
             target = self._targets.get(point[2])
@@ -379,7 +377,7 @@ class PhysicsDynamics:
 
 @lru_cache(maxsize=256)
 def _make_profile(seconds: float) -> tuple[float, ...]:
-    """Rates in 1/s, one a sub-step, that sum to RATE: a motion speeds up, cruises, slows down and settles."""
+    """Rates in 1/s, one per sub-step, with sum RATE: a motion accelerates, cruises, decelerates and settles."""
     count = max(round(max(seconds, _SHORTEST) * RATE), 2)
     ramp = _RAMP * count
     rates = [min(1.0, (i + 0.5) / ramp, (count - i - 0.5) / ramp) for i in range(count)]
@@ -391,8 +389,8 @@ def _make_profile(seconds: float) -> tuple[float, ...]:
 
 
 def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodies:
-    """Build the room in an empty Bullet world, everything in its first place."""
-    # 0: two bodies collide only if both masks allow it; by Bullet's default one mask is enough
+    """Build the room in an empty Bullet world, everything in its initial pose."""
+    # Mode 0: two bodies collide only if both masks allow it. By default one mask is enough.
     pybullet.setPhysicsEngineParameter(collisionFilterMode=0, physicsClientId=client)
     floors = tuple(_add_floor(client, area) for area in compute_floors(instance))
     solids = tuple(_add_solid(client, solid) for solid in instance.solids)
@@ -416,7 +414,7 @@ def _add_body(client: int, shape: int, at: tuple[float, float, float], yaw: floa
     turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
     body = pybullet.createMultiBody(mass, shape, -1, at, turn, physicsClientId=client)
     pybullet.setCollisionFilterGroupMask(body, -1, group, mask, physicsClientId=client)
-    # Bullet's default margin rounds the corners of boxes by up to 0.4 mm
+    # Bullet's default margin rounds the corners of boxes by up to 0.4 mm.
     pybullet.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=client)
     return body
 
@@ -437,7 +435,7 @@ def _add_solid(client: int, solid: Solid) -> int:
 
 
 def _add_door(client: int, door: Solid) -> int:
-    """A leaf hinged at one end of the doorway; it swings through walls, never through the robot."""
+    """A leaf hinged at one end of the doorway. It swings through walls, but not through the robot."""
     half, middle = (door.half_x, door.half_y, door.height / 2), (door.half_x, 0.0, 0.0)
     shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, collisionFramePosition=middle,
                                           physicsClientId=client)
@@ -481,7 +479,7 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
             moving[info[1].decode()] = index
     base = links[BASE_LINK]
     pybullet.changeDynamics(body, base, collisionMargin=0.0, physicsClientId=client)
-    # the arm may lean on the ground; the carriage bears the base, whose own friction would count twice
+    # The arm may lean on the ground. The carriage carries the base, whose own friction would count twice.
     for link in range(-1, len(joints)):
         mask = _FREE | _FIXED | (0 if link == base else _GROUND)
         pybullet.setCollisionFilterGroupMask(body, link, _FREE, mask, physicsClientId=client)

@@ -1,7 +1,7 @@
-"""Observations, one file for each kind, with its form for one room and its form for a batch of rooms.
+"""Observations, one file per kind, with one form for a single room and one for a batch.
 
-Importing this package imports every module in it; each file ends with `register_observation`, so a new file is a new
-observation. Environments, command line, grids, viewer and docs read the registry.
+Importing this package imports every module in it. The file of an observation ends with `register_observation`, which
+makes a new file a new observation. Environments, command line, grids, viewer and docs read the registry.
 """
 
 from importlib import import_module

@@ -1,7 +1,7 @@
-"""Contract and registry of observations: a class turns one state into numbers and, for a batch, all states at once.
+"""Interface and registry of observations. A class turns a state into numbers and, for a batch, all states at once.
 
-Packages register theirs through the entry-point group `hrl_escape.observations`. Nothing here imports torch: the form
-for a batch does so when it is called.
+Packages register observations through the entry-point group `hrl_escape.observations`. This module does not import
+torch; the batched form imports it when called.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
 class BatchView(Protocol):
     """View of a batch of rooms for observations; the last axis of every tensor is the room."""
 
-    x: Tensor  # positions of the bases' axes, m, float64 (rooms,)
-    y: Tensor  # likewise
+    x: Tensor  # x of the bases' axes, m, float64 (rooms,)
+    y: Tensor  # y of the bases' axes, m, float64 (rooms,)
     heading: Tensor  # rad, within [-pi, pi), float64 (rooms,)
     rotation: tuple[Tensor, Tensor]  # cosine and sine of the heading, float64 (rooms,) each
     angles: Tensor  # joint angles, rad, float64 (joints, rooms)
     limits: tuple[tuple[float, float], ...]  # lowest and highest angle of each joint, rad
-    puzzle: Tensor  # the puzzle's observation numbers, float32 (numbers, rooms)
-    is_solved: Tensor  # true where the exit is open, bool (rooms,)
+    puzzle: Tensor  # observation numbers of the puzzle, float32 (numbers, rooms)
+    is_solved: Tensor  # true if the exit is open, bool (rooms,)
     half_sizes: tuple[Tensor, Tensor]  # largest |x| and |y| of the floor in the frame, m, float32 (rooms,) each
     targets: Shapes  # outlines of the targets, m, float64 (targets, rooms) each
     is_present: Tensor  # true for the targets that an instance has, bool (targets, rooms)
     lit: Tensor  # true for the targets that are on, bool (targets, rooms)
     marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, rooms), of width 0 without marks
-    are_cells: bool  # True if the targets are cells of a map
+    are_cells: bool  # true if the targets are cells of a map
     exit: tuple[Tensor, Tensor, Tensor, Tensor]  # x_min, x_max, y_min and y_max, m, float64 (rooms,) each
 
     def cast_rays(self, ray_x: Tensor, ray_y: Tensor, among: Literal["solids", "hiders"]) -> Tensor:
-        """Range of rays (rays, 1, rooms), m, to the first outline or shut door they meet, float64 (rays, rooms).
+        """Return the range of rays (rays, 1, rooms), m, to the first outline or shut door, float64 (rays, rooms).
 
         Args:
-            ray_x: x of their direction, of length 1.
-            ray_y: likewise.
-            among: all that is solid, or only what can stand between two places on the floor.
+            ray_x: x of the unit directions.
+            ray_y: y of the unit directions.
+            among: `solids` for everything solid, `hiders` for solids that can hide one place from another.
         """
         ...
 
@@ -58,21 +58,21 @@ BatchObservation: TypeAlias = "Callable[[BatchView], list[Tensor]]"
 
 
 class Observer(ABC):
-    """Observer of one room: turns its states into observations of one kind.
+    """Turns states of one room into observations of one kind.
 
     Args:
         rules: the room's rules.
-        renderer: the engine's renderer, for pictures.
+        renderer: renderer of the engine, for pictures.
 
     Attributes:
-        name: the value of `observation=`.
+        name: value of the argument `observation=`.
         doc: one line for lists and docs.
-        is_vector: the observation is a vector of named numbers, which every agent can learn from.
+        is_vector: whether the observation is a vector of named numbers, which every agent supports.
         names: name of each number, in order; empty for pictures.
-        low: smallest value of each number, in the observation's shape and type.
+        low: smallest value of each number, in the shape and dtype of the observation.
         high: largest value of each number.
-        rows: name of the object of each row that the vector begins with; none in most kinds.
-        words: name of each number in such a row.
+        rows: name of the object of each row at the beginning of the vector; empty for most kinds.
+        words: name of each number in a row.
     """
 
     name: ClassVar[str]
@@ -96,16 +96,16 @@ class Observer(ABC):
 
     @abstractmethod
     def observe(self, state: RoomState) -> NDArray[Any]:
-        """Return a fresh array in the shape and type of `low`."""
+        """Return a new array with the shape and dtype of `low`."""
 
     @staticmethod
     def observe_batch(rooms: BatchView) -> list[Tensor]:
-        """Parts of the observation of every room of a batch, float32 (numbers, rooms) each; none by default."""
-        raise UnsupportedError("this observation is not for batches")
+        """Return parts of the observation of every room, float32 (numbers, rooms) each; unsupported by default."""
+        raise UnsupportedError("this observation does not support batches; use EscapeRoomEnv, or another observation")
 
     @property
     def light_places(self) -> tuple[int, ...]:
-        """Place in the observation of each target's light, in the order of the targets; empty without such numbers."""
+        """Index of each target's light in the observation, in the order of targets; empty without such numbers."""
         names = {name: place for place, name in enumerate(self.names)}
         if "puzzle-1" in names:
             return tuple(names["puzzle-1"] + number for number in self._puzzle.light_numbers)
@@ -113,13 +113,13 @@ class Observer(ABC):
         return tuple(names[light] for light in lights) if not self.rows and names.keys() >= set(lights) else ()
 
     def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
-        """The puzzle's numbers in the form of this observation, cached, as a puzzle changes rarely."""
+        """The puzzle's numbers in the form of this observation, cached because puzzles change rarely."""
         numbers = self._seen.get(state.puzzle)
         if numbers is None:
-            if len(self._seen) > 4096:  # states of a continuous puzzle never recur
+            if len(self._seen) > 4096:  # states of a continuous puzzle rarely repeat
                 self._seen.clear()
             numbers = self._scale_puzzle(self._puzzle.observe(state.puzzle))
-            numbers += (0.0,) * (len(self._frame.bounds) - len(numbers))  # of absent targets
+            numbers += (0.0,) * (len(self._frame.bounds) - len(numbers))  # numbers of absent targets
             self._seen[state.puzzle] = numbers
         return numbers
 
@@ -128,7 +128,7 @@ class Observer(ABC):
 
 
 def clip(value: float) -> float:
-    """The nearest number in [-1, 1]."""
+    """Clip a number to [-1, 1]."""
     return -1.0 if value < -1.0 else 1.0 if value > 1.0 else value
 
 
@@ -143,22 +143,22 @@ def register_observation(observer: type[Observer]) -> None:
     """Register an observation under its `name`.
 
     Raises:
-        ConfigError: another observation has that name.
+        ConfigError: the name is taken.
     """
     observations.register(observer.name, observer)
 
 
 def get_observation(name: str) -> type[Observer]:
-    """Return the observation of a name, entry points of other packages included.
+    """Return an observation by name, including entry points of other packages.
 
     Raises:
-        UnknownNameError: no observation of that name; the message lists those there are.
+        UnknownNameError: no observation of that name; the message lists the valid names.
     """
     return observations.get(name)
 
 
 def list_observations() -> tuple[type[Observer], ...]:
-    """Return all observations, entry points of other packages included."""
+    """Return all observations, including entry points of other packages."""
     return tuple(observations.load_all().values())
 
 
@@ -167,6 +167,6 @@ def make_observer(name: str, rules: Rules, renderer: Renderer | None = None) -> 
 
     Raises:
         UnknownNameError: no observation of that name.
-        UnsupportedError: a picture without a renderer.
+        UnsupportedError: the observation is a picture and there is no renderer.
     """
     return get_observation(name)(rules, renderer)

@@ -1,4 +1,4 @@
-"""`egocentric`: what the robot sees from its place, its joints, and a ring of lidar."""
+"""`egocentric`: the view from the robot's place, its joints, and a ring of lidar."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ LIDAR_RAYS = 16
 class EgocentricObserver(Observer):
     """Ranges and bearings from the robot's place, its joints, and a ring of lidar, all in [-1, 1].
 
-    For each target its range over the room's diagonal, sine and cosine of its bearing, 1 if it is lit, and, where
-    targets bear marks, `MARK_WORDS`; for each block, each plate and the exit range, sine and cosine. What is out of
-    sight, or not in this instance, is all 0. Then joint angles over their limits, and lidar ranges over the diagonal,
-    from straight ahead counter-clockwise.
+    Each target has its range as a fraction of the room's diagonal, sine and cosine of its bearing, 1 if it is lit, and
+    `MARK_WORDS` if targets have marks. Each block, each plate and the exit has range, sine and cosine. Numbers of
+    things that are hidden, or absent from this instance, are 0. Joint angles as fractions of their limits follow, then
+    lidar ranges as fractions of the diagonal, counter-clockwise from straight ahead.
 
     Walls, obstacles and shut doors hide things and stop rays.
     """
 
     name = "egocentric"
-    doc = "range and bearing of what is in sight, joints, and a ring of lidar"
+    doc = "range and bearing of things in sight, joints, and a ring of lidar"
 
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
@@ -80,7 +80,7 @@ class EgocentricObserver(Observer):
         return found
 
     def observe(self, state: RoomState) -> NDArray[np.float32]:
-        """Return a fresh float32 array, one number a name."""
+        """Return a new float32 array with one entry per name."""
         x, y, diagonal = state.x, state.y, self._diagonal
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
         scanner, hiders = self._find_scanners(state)
@@ -99,7 +99,7 @@ class EgocentricObserver(Observer):
                 if away:
                     ahead, aside = ahead / away, aside / away
                 else:
-                    ahead, aside = 1.0, 0.0  # a point at the robot's own place has the bearing +x
+                    ahead, aside = 1.0, 0.0  # a point at the robot's own place has the bearing of +x
                 numbers += away / diagonal, aside * cos - ahead * sin, ahead * cos + aside * sin
                 if is_target:
                     numbers += float(lit[number]), *(self._marks[number] if self._marks else ())
@@ -117,7 +117,7 @@ class EgocentricObserver(Observer):
 
     @staticmethod
     def observe_batch(rooms: BatchView) -> list[Tensor]:
-        """Parts of the vector, float32 (numbers, rooms) each."""
+        """Return parts of the vector, float32 (numbers, rooms) each."""
         import torch
 
         x_min, x_max, y_min, y_max = rooms.exit

@@ -1,4 +1,4 @@
-"""`features`: everything scaled into [-1, 1]; the default of the training scripts."""
+"""`features`: all numbers scaled into [-1, 1]; the default for training."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FeatureObserver(Observer):
         self.low = -self.high
 
     def observe(self, state: RoomState) -> NDArray[np.float32]:
-        """Return a fresh float32 array, one number a name."""
+        """Return a new float32 array with one entry per name."""
         rules = self._rules
         cos, sin = rules.get_rotation(state.heading_steps, state.heading_offset)
         joints = [clip(a / m) for a, m in zip(rules.get_angles(state), self._joint_limits, strict=True)]
@@ -45,7 +45,7 @@ class FeatureObserver(Observer):
 
     @staticmethod
     def observe_batch(rooms: BatchView) -> list[Tensor]:
-        """Parts of the vector, float32 (numbers, rooms) each; the puzzle's numbers as they are."""
+        """Return parts of the vector, float32 (numbers, rooms) each; the puzzle's numbers are not scaled."""
         import torch
 
         half_x, half_y = rooms.half_sizes

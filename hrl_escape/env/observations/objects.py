@@ -1,4 +1,4 @@
-"""`objects`: one row of numbers for each object, in an order without meaning, and the joints."""
+"""`objects`: one row of numbers per object, in arbitrary order, and the joints."""
 
 from __future__ import annotations
 
@@ -24,17 +24,18 @@ OBJECT_WORDS = ("present", "target", "block", "plate", "exit", "ahead", "left", 
 
 
 class ObjectObserver(Observer):
-    """One row of numbers for each object, and the joints; all in [-1, 1].
+    """One row of numbers per object, and the joints; all in [-1, 1].
 
-    Rows are those of the targets, blocks, plates and the exit. A row holds 1 where the object is present (rows of
-    targets that this instance lacks are all 0: the mask), its type, its place ahead and to the left of the robot, sine
-    and cosine of its direction as seen from the robot, half its sizes, and 1 if it is lit, or the exit open. Lengths
-    are shares of the floor's diagonal. Where targets bear marks, `MARK_WORDS` follow in every row: 1 for the colour,
-    the shape and the size of a target's mark. The order of rows has no meaning. Joint angles over their limits follow.
+    Targets, blocks, plates and the exit have rows. A row has 1 if the object is present (rows of targets that this
+    instance lacks are 0: the mask), its type, its position ahead and to the left of the robot, sine and cosine of its
+    direction relative to the robot, half its sizes, and 1 if it is lit, or the exit open. Lengths are fractions of the
+    floor's diagonal. If targets have marks, every row continues with `MARK_WORDS`: 1 for the colour, the shape and the
+    size of the target's mark. The order of rows carries no information. Joint angles as fractions of their limits
+    follow.
     """
 
     name = "objects"
-    doc = "one row a target, block, plate and exit: type, pose seen from the robot, size, lit"
+    doc = "one row per target, block, plate and exit: type, pose relative to the robot, size, lit"
 
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
@@ -61,7 +62,7 @@ class ObjectObserver(Observer):
         self.low = -self.high
 
     def observe(self, state: RoomState) -> NDArray[np.float32]:
-        """Return a fresh float32 array, one number a name."""
+        """Return a new float32 array with one entry per name."""
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
         poses, rows = self._poses.copy(), self._rows.copy()
         if state.physics is not None and self._props.stop > self._props.start:
@@ -78,7 +79,7 @@ class ObjectObserver(Observer):
 
     @staticmethod
     def observe_batch(rooms: BatchView) -> list[Tensor]:
-        """Parts of the vector, float32 (numbers, rooms) each."""
+        """Return parts of the vector, float32 (numbers, rooms) each."""
         import torch
 
         targets, (half_x, half_y), (x_min, x_max, y_min, y_max) = rooms.targets, rooms.half_sizes, rooms.exit

@@ -1,4 +1,4 @@
-"""`pixels`: the picture of the robot's own camera."""
+"""`pixels`: the picture of the robot's camera."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PIXELS = (84, 84)
 
 
 class PixelObserver(Observer):
-    """The picture of the robot's own camera, uint8."""
+    """The picture of the robot's camera, uint8."""
 
     name = "pixels"
     doc = "84 x 84 RGB from the robot's camera"
@@ -30,7 +30,7 @@ class PixelObserver(Observer):
         self._renderer = renderer
 
     def observe(self, state: RoomState) -> NDArray[np.uint8]:
-        """Return the robot camera's picture, uint8 (height, width, 3)."""
+        """Return the picture of the robot's camera, uint8 (height, width, 3)."""
         return self._renderer.render(state, "robot", *PIXELS)
 
 

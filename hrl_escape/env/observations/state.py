@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 class StateObserver(Observer):
-    """Position, heading, pitch and roll, the puzzle's numbers, joint angles."""
+    """Position, heading, pitch and roll, the puzzle's numbers, and joint angles."""
 
     name = "state"
-    doc = "the paper's state vector: pose, puzzle, joints, in natural units"
+    doc = "the paper's state vector: pose, puzzle and joints in natural units"
 
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
@@ -32,14 +32,14 @@ class StateObserver(Observer):
         self.low, self.high = np.array(limits, dtype=np.float32).T.copy()
 
     def observe(self, state: RoomState) -> NDArray[np.float32]:
-        """Return a fresh float32 array, one number a name."""
+        """Return a new float32 array with one entry per name."""
         rules = self._rules
         return np.array((state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
                          *self._get_puzzle(state), *rules.get_angles(state)), dtype=np.float32)
 
     @staticmethod
     def observe_batch(rooms: BatchView) -> list[Tensor]:
-        """Parts of the vector, float32 (numbers, rooms) each."""
+        """Return parts of the vector, float32 (numbers, rooms) each."""
         import torch
 
         x, y, heading = (number.to(torch.float32) for number in (rooms.x, rooms.y, rooms.heading))

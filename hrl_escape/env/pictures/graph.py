@@ -1,4 +1,4 @@
-"""The dependencies between the targets of a puzzle, drawn in layers: roots on top, children below."""
+"""Drawing of the dependencies between a puzzle's targets in layers: roots on top, children below."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ _SWEEPS = 8
 
 
 def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[float, float]]:
-    """Place each node: roots on top, children below, few crossings; y grows downwards.
+    """Compute a position for each node: roots on top, children below, few crossings; y grows downwards.
 
     Returns:
-        (x, y) per node, in units of one node's distance to the next. Layers of more than 8
-        take several rows; after 12 rows it continues in the next column, upwards and downwards
-        in turn.
+        (x, y) per node, in units of the distance between neighbours. Layers of more than 8 nodes take several rows.
+        After 12 rows the layout continues in the next column, upwards and downwards in turn.
     """
     depths = compute_depths(count, edges)
     layers = [[n for n in range(count) if depths[n] == depth] for depth in range(max(depths, default=0) + 1)]
@@ -45,7 +44,7 @@ def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[f
 
 
 def _reduce_crossings(layers: list[list[int]], edges: Sequence[tuple[int, int]]) -> None:
-    """Order each layer by the mean place of its neighbours, down and up in turn (Sugiyama et al. 1981)."""
+    """Order each layer by the mean position of its neighbours, down and up in turn (Sugiyama et al. 1981)."""
     for sweep in range(_SWEEPS):
         down = sweep % 2 == 0
         place = {node: i - len(layer) / 2 for layer in layers for i, node in enumerate(layer)}
@@ -57,13 +56,13 @@ def _reduce_crossings(layers: list[list[int]], edges: Sequence[tuple[int, int]])
 
 
 def shorten(name: str) -> str:
-    """Short form of a name for small nodes: `12` for `button-12`."""
+    """Return the short form of a name for small nodes: `12` for `button-12`."""
     number = re.fullmatch(r".*-(\d+)", name)
     return number[1] if number else name
 
 
 def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
-    """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
+    """Draw the dependencies between a puzzle's targets, coloured by state. Dots mark locks; the goal has two rings."""
     graph = get_mixin(puzzle, Graphed)
     places = compute_layout(len(puzzle.target_names), graph.edges)
     right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))

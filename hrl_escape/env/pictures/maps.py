@@ -1,8 +1,8 @@
-"""Crisp top-down maps of a room as figures and files: the room, its targets' graph, paths and a legend.
+"""Top-down maps of a room as figures and files: the room, its targets' graph, paths and a legend.
 
-`make_map` gives a matplotlib figure, `save_map` a PNG, SVG or PDF file (the same bytes every time), `make_map_image`
-pixels; `draw_room` draws on the caller's axes. Metres, the room frame, x to the right. Pictures through Bullet's
-cameras are in `bullet/cameras.py`.
+`make_map` returns a matplotlib figure, `make_map_image` pixels; `save_map` writes a PNG, SVG or PDF file with
+reproducible bytes; `draw_room` draws on given axes. Metres, the room frame, x to the right. `bullet/cameras.py` has
+pictures through Bullet's cameras.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from hrl_escape.env.pictures.model import RoomLook, RoomModel, RoomPose
 from hrl_escape.env.puzzles.mixins import Depicted, Doored, Graphed, get_mixin
 from hrl_escape.figures import STYLE, save_figure
 
-_MAP_INCHES = 6.6  # the longer side of the room
+_MAP_INCHES = 6.6  # longer side of the room
 _PANEL_INCHES = 2.5
-_TICK_INCHES = 0.25  # for numbers along the lower and left edge
+_TICK_INCHES = 0.25  # space for numbers along the lower and left edge
 _LABEL_POINTS = 8.0
 _HALO = (withStroke(linewidth=2.5, foreground="white"),)
 
 
 @dataclasses.dataclass(frozen=True)
 class Trajectory:
-    """A path to draw.
+    """A path to draw on a map.
 
     Attributes:
         points: positions (n, 2) of the body's axis, m.
-        label: name in the legend; empty for none.
-        colour: any matplotlib colour; None takes the next of the palette's.
+        label: name in the legend; empty for no entry.
+        colour: any matplotlib colour, or None for the next colour of the palette.
     """
 
     points: ArrayLike
@@ -59,21 +59,21 @@ class Trajectory:
 
 def make_map(instance: RoomInstance, state: RoomState | None = None, trajectories: Sequence[Trajectory] = (),
              *, panel: bool = True) -> Figure:
-    """Draw a room as a figure of its own.
+    """Draw a room as a figure.
 
     Args:
         instance: the room.
-        state: robot and lit targets to draw; None draws the start of an episode.
+        state: state of robot and targets, or None for the start of an episode.
         trajectories: paths, drawn under the robot.
-        panel: add title, the targets' graph and the legend at the right.
+        panel: whether to add title, the targets' graph and the legend on the right.
 
     Returns:
-        A figure that belongs to no window; `save_figure` writes it.
+        A figure without a window; `save_figure` writes it.
     """
     if state is None:
         state = Kinematics(instance).make_state(instance.starts[0], 0)
     x_min, x_max, y_min, y_max = compute_extent(instance)
-    scale = _MAP_INCHES / max(x_max - x_min, y_max - y_min)  # inches a metre
+    scale = _MAP_INCHES / max(x_max - x_min, y_max - y_min)  # inches per metre
     names = 0.4 + 0.075 * max((len(target.name) + 2 for target in instance.targets), default=0)  # inches
     wide, high = scale * (x_max - x_min) + 2 * names + _TICK_INCHES, scale * (y_max - y_min) + 2 * names + _TICK_INCHES
     total = wide + (_PANEL_INCHES if panel else 0.0)
@@ -90,7 +90,7 @@ def make_map(instance: RoomInstance, state: RoomState | None = None, trajectorie
 
 
 def make_strip(instances: Sequence[RoomInstance], most: int = 4, inches: float = 2.2) -> Figure:
-    """Draw the first rooms side by side at the start of their episodes, without names; the figure has no window."""
+    """Draw the first rooms in a row at the start of their episodes, without names; the figure has no window."""
     with matplotlib.rc_context(STYLE):
         shown = [instances[number] for number in range(min(most, len(instances)))]
         figure = Figure(figsize=(inches * len(shown), inches), dpi=150, layout="constrained",
@@ -115,7 +115,7 @@ def save_map(path: str | Path, instance: RoomInstance, state: RoomState | None =
 
 def make_map_image(instance: RoomInstance, state: RoomState | None = None, trajectories: Sequence[Trajectory] = (),
                    *, panel: bool = True, dots_per_inch: int = 100) -> NDArray[np.uint8]:
-    """Draw `make_map`'s figure as pixels, for videos: uint8, (height, width, 3)."""
+    """Draw `make_map`'s figure as pixels, for videos: uint8 (height, width, 3)."""
     figure = make_map(instance, state, trajectories, panel=panel)
     figure.set_dpi(dots_per_inch)
     canvas = FigureCanvasAgg(figure)
@@ -128,7 +128,7 @@ def make_map_image(instance: RoomInstance, state: RoomState | None = None, traje
 
 
 def _draw_panel(figure: Figure, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory]) -> None:
-    """Title on top, legend at the bottom, the targets' graph in the space between."""
+    """Draw the title on top, the legend at the bottom, and the targets' graph between them."""
     wide, high = figure.get_size_inches()
     left, top = 1 - _PANEL_INCHES / wide, 1 - 0.45 / high
     figure.text(left, top, instance.name, fontsize=14, weight="bold", color=palette.INK, va="bottom")
@@ -189,7 +189,7 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
 
 def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory] = (),
               names: bool = True) -> None:
-    """Draw a room on axes whose limits are set (wider than the room, for names to fit).
+    """Draw a room on axes with given limits, which must be wider than the room to leave space for names.
 
     Paths are drawn under the robot; `names` adds the targets' names, and metres along the edges.
     """
@@ -223,7 +223,7 @@ def _draw_props(axes: Axes, model: RoomModel, pose: RoomPose) -> None:
     """Draw blocks and plates where they are, with their names below."""
     for placed, part, (x, y, _, *turn) in zip(model.instance.props, model.props, pose.props, strict=True):
         half, plate = part.shape.half_x, part.role == "plate"
-        yaw = 2 * math.atan2(turn[2], turn[3])  # of the part of a turn that is about z
+        yaw = 2 * math.atan2(turn[2], turn[3])  # rotation about z
         axes.add_patch(_make_outline(make_footprint(x, y, half, half, yaw), edgecolor=palette.PROP_EDGE, linewidth=1.0,
                                      facecolor=palette.PLATE if plate else palette.PROP,
                                      linestyle="--" if plate else "-", zorder=2 if plate else 5))
@@ -233,7 +233,7 @@ def _draw_props(axes: Axes, model: RoomModel, pose: RoomPose) -> None:
 
 
 def _get_scale(axes: Axes) -> float:
-    """Scale of the drawing: inches of paper per metre of floor."""
+    """Inches of paper per metre of floor."""
     wide, high = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
     (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
     return min(wide / (x_max - x_min), high / (y_max - y_min))
@@ -283,7 +283,7 @@ def _draw_floor(axes: Axes, model: RoomModel, state: RoomState) -> None:
 
 
 def _draw_inner_doors(axes: Axes, model: RoomModel, look: RoomLook) -> None:
-    """Draw doors and things in cells, and next to a door between rooms the name of the target that opens it."""
+    """Draw doors and things in cells; a door between rooms also has the name of the target that opens it."""
     instance = model.instance
     for part, is_shut in zip(model.inner_doors, look.shut, strict=True):
         colour = palette.LOOKS[part.role]
@@ -320,11 +320,11 @@ def _draw_starts(axes: Axes, instance: RoomInstance) -> None:
 
 
 def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
-    """Body with a heading mark, arm links seen from above, and the hand."""
+    """Draw the body with a heading mark, the arm's links from above, and the hand."""
     rules = Kinematics(instance)
     robot, radius, scale = rules.robot, instance.robot.inner_radius, 72 * _get_scale(axes)
     at, heading = np.array([state.x, state.y]), rules.get_heading(state)
-    if 2 * radius * scale < 9:  # a robot drawn a few points wide is hard to find
+    if 2 * radius * scale < 9:  # a robot that is a few points wide would be hard to find
         axes.plot(*at, "o", markersize=13, fillstyle="none", color=palette.BODY, markeredgewidth=1.0, zorder=7)
     style: dict[str, Any] = {"facecolor": palette.BODY, "edgecolor": palette.BODY_EDGE, "linewidth": 1.0, "zorder": 7}
     corners = instance.robot.base.find_corners_at(state.x, state.y, heading)
@@ -345,7 +345,7 @@ def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
 
 
 def get_colour(trajectory: Trajectory, number: int) -> str:
-    """Colour of trajectory `number`: its own, or the next of the palette."""
+    """Return the colour of trajectory `number`: its own, or the next of the palette."""
     return trajectory.colour or palette.LINES[number % len(palette.LINES)]
 
 
@@ -363,7 +363,7 @@ def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
 
 
 def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[str, list[int]]:
-    """Draw panels as coloured bars and pads as areas; return which targets have their names on which side."""
+    """Draw panels as coloured bars and pads as areas; return the targets with names on each side."""
     puzzle, marks = instance.puzzle, palette.list_marks(instance.puzzle)
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):
@@ -387,7 +387,7 @@ def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[
 
 
 def _find_side(instance: RoomInstance, target: Target) -> str:
-    """Find where a target's name goes: outside the outer wall that it belongs to, or `inside`."""
+    """Side of a target's name: outside its outer wall, or `inside`."""
     gaps = {"left": target.x + instance.half_width, "right": instance.half_width - target.x,
             "bottom": target.y + instance.half_depth, "top": instance.half_depth - target.y}
     side = min(gaps, key=gaps.__getitem__)
@@ -396,7 +396,7 @@ def _find_side(instance: RoomInstance, target: Target) -> str:
 
 
 def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str, members: list[int]) -> None:
-    scale = 72 * _get_scale(axes)  # points a metre
+    scale = 72 * _get_scale(axes)  # points per metre
     line, x_min, x_max, y_min, y_max = 1.75 * _LABEL_POINTS / scale, *compute_extent(instance)
     names = [palette.name_target(instance.puzzle, state.puzzle, index) for index in members]
     along = [instance.targets[i].y if side in ("left", "right") else instance.targets[i].x for i in members]
@@ -431,7 +431,7 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
 
 
 def _spread(places: Sequence[float], gap: float) -> list[float]:
-    """Move labels on a line as little as possible (least squares) so that they keep order and a gap."""
+    """Move labels on a line as little as possible (least squares) while they keep their order and a gap."""
     order = np.argsort(places, kind="stable")
     ranks = gap * np.arange(len(places))
     moved = np.empty(len(places))

@@ -1,7 +1,7 @@
 """Triangle meshes of the parts of a room, for Bullet's cameras and the viewer.
 
-Shapes first, then the parts of a room made of them, each in the frame of its `RoomPart`. Every face has its own
-vertices, so that edges look like edges. Faces are counter-clockwise seen from outside, metres. Nothing here collides.
+Shapes come first, then the parts of a room, each in the frame of its `RoomPart`. Every face has its own vertices, which
+keeps edges sharp. Faces are counter-clockwise seen from outside; metres. Meshes take no part in collisions.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ _LONGEST_SHADOW = 1.3
 
 
 class Mesh(NamedTuple):
-    """Triangles that share vertices, each vertex with its normal, in metres."""
+    """Triangles with shared vertices; each vertex has a normal. Metres."""
 
     vertices: NDArray[np.float64]  # (n, 3), float64, m
     normals: NDArray[np.float64]  # (n, 3), float64, unit
-    triangles: NDArray[np.int64]  # (m, 3), int64, numbers of vertices
+    triangles: NDArray[np.int64]  # (m, 3), int64, indices of vertices
 
     def moved(self, x: float, y: float) -> Mesh:
-        """The same mesh elsewhere on the floor."""
+        """Return the mesh moved on the floor."""
         return self._replace(vertices=self.vertices + (x, y, 0.0))
 
     def facing(self, direction: tuple[float, float, float]) -> Mesh:
-        """The same mesh, shaded as if all of it faced one direction."""
+        """Return the mesh shaded as if all of it faced one direction."""
         unit = np.array(direction) / math.hypot(*direction)
         return self._replace(normals=np.tile(unit, (len(self.vertices), 1)))
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """Put meshes together as one."""
+    """Combine meshes into one."""
     if not meshes:
         return make_flat((), 0.0)
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
@@ -57,7 +57,7 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def outline_capsule(capsule: Capsule) -> list[Point]:
-    """Corners of a capsule, counter-clockwise: two half circles, joined by its straight sides."""
+    """Return the corners of a capsule, counter-clockwise: two half circles joined by straight sides."""
     along = math.atan2(capsule.y2 - capsule.y1, capsule.x2 - capsule.x1)
     ends = ((capsule.x2, capsule.y2, along - math.pi / 2), (capsule.x1, capsule.y1, along + math.pi / 2))
     return [(x + capsule.radius * math.cos(angle), y + capsule.radius * math.sin(angle)) for x, y, first in ends
@@ -65,7 +65,7 @@ def outline_capsule(capsule: Capsule) -> list[Point]:
 
 
 def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:
-    """A horizontal convex polygon, given counter-clockwise; seen from above, or from below."""
+    """Make a horizontal convex polygon from counter-clockwise corners, visible from above or from below."""
     n = len(outline)
     if n < 3:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
@@ -75,9 +75,9 @@ def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:
 
 
 def _make_badge(outline: Sequence[Point], target: Target, front: Point, lift: float) -> Mesh:
-    """A flat polygon on the front of a panel, star-shaped about (0, 0), lifted from its face by so many metres.
+    """A flat polygon on the front of a panel, star-shaped about (0, 0), `lift` m above its face.
 
-    Its corners are counter-clockwise, in halves of the panel's smaller side.
+    Its corners are counter-clockwise, in units of half the panel's smaller side.
     """
     scale, (x, y) = 0.8 * min(target.half_x, target.half_z), front
     centre = np.array([target.x + (target.half_y + lift) * x, target.y + (target.half_y + lift) * y, target.z])
@@ -88,7 +88,7 @@ def _make_badge(outline: Sequence[Point], target: Target, front: Point, lift: fl
 
 
 def make_prism(outline: Sequence[Point], low: float, high: float) -> Mesh:
-    """An upright prism over a convex counter-clockwise polygon, from height `low` to `high`, with flat sides."""
+    """Make an upright prism over a convex counter-clockwise polygon, from height `low` to `high`, with flat sides."""
     sides = []
     for (x0, y0), (x1, y1) in zip(outline, [*outline[1:], outline[0]], strict=True):
         length = math.hypot(x1 - x0, y1 - y0) or 1.0
@@ -99,7 +99,7 @@ def make_prism(outline: Sequence[Point], low: float, high: float) -> Mesh:
 
 
 def make_cylinder(radius: float, low: float, high: float, top_radius: float | None = None) -> Mesh:
-    """An upright cylinder (or cone frustum) about the z axis, round sides shaded smoothly."""
+    """Make an upright cylinder (or cone frustum) about the z axis, with smoothly shaded sides."""
     top = radius if top_radius is None else top_radius
     angles = np.arange(FACETS) * (math.tau / FACETS)
     around = np.column_stack([np.cos(angles), np.sin(angles)])
@@ -118,7 +118,7 @@ def make_cylinder(radius: float, low: float, high: float, top_radius: float | No
 
 def make_base_column(robot: RobotConfig, low: float, high: float, share: float = 1.0, top_share: float | None = None
                      ) -> Mesh:
-    """A slice of the robot's base from height `low` to `high`, its outline scaled, and a round one's top."""
+    """Make a slice of the robot's base from height `low` to `high`, with scaled outline, and top if round."""
     if robot.base.corners:
         return make_prism([(share * x, share * y) for x, y in robot.base.corners], low, high)
     top = None if top_share is None else top_share * robot.outer_radius
@@ -126,13 +126,13 @@ def make_base_column(robot: RobotConfig, low: float, high: float, share: float =
 
 
 def compute_base_outline(robot: RobotConfig) -> list[Point]:
-    """Corners of the robot's base, counter-clockwise, in its own frame."""
+    """Return the corners of the robot's base, counter-clockwise, in its frame."""
     radius = robot.outer_radius
     return list(robot.base.corners) or outline_footprint(make_footprint(0.0, 0.0, radius, radius, is_disc=True))
 
 
 def outline_footprint(shape: Footprint) -> list[Point]:
-    """Corners of a footprint, counter-clockwise; a disc has `FACETS`."""
+    """Return the corners of a footprint, counter-clockwise; a disc has `FACETS` corners."""
     if shape.is_disc:
         angles = [n * math.tau / FACETS for n in range(FACETS)]
         return [(shape.x + shape.half_x * math.cos(a), shape.y + shape.half_x * math.sin(a)) for a in angles]
@@ -141,7 +141,7 @@ def outline_footprint(shape: Footprint) -> list[Point]:
 
 
 def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
-    """x_min, x_max, y_min, y_max of everything solid, and of the exit."""
+    """Return x_min, x_max, y_min, y_max of all solids and the exit."""
     xs = [-instance.half_width, instance.half_width, instance.exit.x_min, instance.exit.x_max]
     ys = [-instance.half_depth, instance.half_depth, instance.exit.y_min, instance.exit.y_max]
     for solid in instance.solids:
@@ -156,9 +156,9 @@ def _list_corners(half_x: float, half_y: float) -> tuple[Point, ...]:
 
 
 def make_shadow(outline: Sequence[Point], height: float, z: float, floor: Rectangle | None = None) -> Mesh:
-    """The shadow that an upright prism casts on the floor, as a flat polygon at height `z`.
+    """Make the shadow of an upright prism on the floor, as a flat polygon at height `z`.
 
-    With `floor`, only the part on that rectangle, which may be empty (no triangles).
+    With `floor`, only the part on that rectangle, which can be empty (no triangles).
     """
     reach = min(height, _LONGEST_SHADOW / math.hypot(*SHADOW))
     points = [*outline, *((x + SHADOW[0] * reach, y + SHADOW[1] * reach) for x, y in outline)]
@@ -170,7 +170,7 @@ def make_shadow(outline: Sequence[Point], height: float, z: float, floor: Rectan
 
 
 def _clip(shape: Sequence[Point], axis: int, sign: int, limit: float) -> list[Point]:
-    """Keep the part of a convex polygon on one side of a line (Sutherland and Hodgman, 1974)."""
+    """Clip a convex polygon to one side of a line (Sutherland and Hodgman, 1974)."""
     kept: list[Point] = []
     for before, point in zip([*shape[-1:], *shape[:-1]], shape, strict=True):
         was, now = sign * (before[axis] - limit), sign * (point[axis] - limit)
@@ -183,7 +183,7 @@ def _clip(shape: Sequence[Point], axis: int, sign: int, limit: float) -> list[Po
 
 
 def _make_tiles(areas: Sequence[Rectangle], side: float, odd: bool) -> Mesh:
-    """The odd or the even squares of a chequered floor; squares are anchored at the origin."""
+    """The odd or the even squares of a chequered floor, aligned with the origin."""
     tiles = []
     for area in areas:
         xs, ys = _cut(area.x_min, area.x_max, side), _cut(area.y_min, area.y_max, side)
@@ -200,7 +200,7 @@ def _cut(low: float, high: float, side: float) -> list[float]:
 
 
 def format_obj(mesh: Mesh) -> str:
-    """The mesh as a Wavefront OBJ file, for URDFs."""
+    """Return the mesh as a Wavefront OBJ file, for URDFs."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
     lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.normals.tolist()]
     lines += [f"f {a + 1}//{a + 1} {b + 1}//{b + 1} {c + 1}//{c + 1}" for a, b, c in mesh.triangles.tolist()]
@@ -211,7 +211,7 @@ def format_obj(mesh: Mesh) -> str:
 
 
 def make_floor(instance: RoomInstance, casting: Iterable[RoomPart]) -> dict[str, Mesh]:
-    """Tiles, shadows that parts cast on them, and puddles, by their roles; none without triangles."""
+    """Make tiles, shadows of parts, and puddles, by role; roles without triangles are left out."""
     floors, side = compute_floors(instance), palette.choose_tile(instance)
     shadows = [make_shadow(outline_footprint(part.shape), part.high, LAYER, floor)
                for part in casting for floor in floors]
@@ -223,7 +223,7 @@ def make_floor(instance: RoomInstance, casting: Iterable[RoomPart]) -> dict[str,
 
 
 def make_part(part: RoomPart, most: float = math.inf) -> Mesh:
-    """A part in its own frame, cut at a height over its lowest."""
+    """Make a part in its own frame, cut at a height above its lowest point."""
     shape = part.shape
     if part.low == part.high:
         return make_flat(outline_footprint(shape), part.low)
@@ -234,7 +234,7 @@ def make_part(part: RoomPart, most: float = math.inf) -> Mesh:
 
 
 def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]]:
-    """Colours and meshes of a panel's front: a white disc and the target's mark on it; empty without marks."""
+    """Return colours and meshes of a panel's front: a white disc with the target's mark; empty without marks."""
     marks, front = palette.list_marks(instance.puzzle), palette.find_front(instance, target)
     if not marks:
         return []
@@ -245,7 +245,7 @@ def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]
 
 
 def make_base(robot: RobotConfig) -> dict[str, Mesh]:
-    """The wheeled base, with an arrow on top that shows the heading: colour -> all that has it."""
+    """Make the wheeled base with an arrow on top that shows the heading, as one mesh per colour."""
     radius, height = robot.inner_radius, robot.body_height
     top = height + LAYER
     tip, notch, barb = (0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, 0.5 * radius)

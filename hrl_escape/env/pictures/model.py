@@ -1,4 +1,4 @@
-"""The room as pictures show it: its parts, listed once, and where they are and how they look in a state.
+"""The room as pictures show it: its parts, listed once, with their poses and looks in a state.
 
 Every fixed part is an upright prism over a box or a disc, or paint on the floor. Maps, Bullet's cameras, the batched
 cameras and the viewer draw the parts of a `RoomModel`, each in its own way. Metres and radians.
@@ -27,19 +27,19 @@ class RoomPart(NamedTuple):
     role: str  # key of `palette.LOOKS`
     shape: Footprint  # outline on the floor, m
     low: float  # lowest height, m
-    high: float  # greatest height, m
+    high: float  # largest height, m
 
 
 class Panel(NamedTuple):
     """Parts of a target."""
 
-    face: RoomPart  # lights up
-    frame: RoomPart  # round the face, a little thinner
+    face: RoomPart  # the part that lights up
+    frame: RoomPart  # frame around the face, slightly thinner
     mat: RoomPart  # paint on the floor in front of it
 
 
 class RoomPose(NamedTuple):
-    """Placement of everything that moves."""
+    """Poses of everything that moves."""
 
     x: float  # x of the body's axis, m
     y: float  # y of the body's axis, m
@@ -53,26 +53,26 @@ class RoomPose(NamedTuple):
 
 
 class RoomLook(NamedTuple):
-    """Facts of a puzzle's state that pictures show."""
+    """Parts of a puzzle's state that pictures show."""
 
-    lit: tuple[bool, ...]  # true for each target that is on
-    shut: tuple[bool, ...]  # true for each inner door or thing that blocks the way
-    is_open: bool  # true if the exit is open
+    lit: tuple[bool, ...]  # whether each target is on
+    shut: tuple[bool, ...]  # whether each inner door or thing blocks the way
+    is_open: bool  # whether the exit is open
 
 
 class RoomModel:
-    """Parts of one room, in the room's frame unless stated.
+    """Parts of one room, in the room frame unless stated.
 
     Attributes:
         instance: the room.
-        rules: its rules, by which poses are computed.
-        floors: floor of the room, and of an alcove at its exit.
+        rules: rules of the room, which compute poses.
+        floors: floors of the room and of an alcove at its exit.
         exit: painted area of the exit, and the edge below it.
         solids: walls and obstacles, in the order of `instance.solids`.
         panels: targets, in their order.
         inner_doors: doors between rooms, and things that fill cells.
-        leaf: the exit's door in the frame of its hinge; None without one.
-        hinge: place of this hinge on the floor, (x, y), m.
+        leaf: exit door in the frame of its hinge, or None without one.
+        hinge: (x, y) of this hinge, m.
         props: blocks and plates, each in its own frame.
     """
 
@@ -99,7 +99,7 @@ class RoomModel:
             for placed in instance.props)
 
     def make_pose(self, state: RoomState) -> RoomPose:
-        """Compute where everything is in a state."""
+        """Return the poses of everything in a state."""
         rules, physics = self.rules, state.physics
         props = (numbers[:7] for numbers in physics.props) if physics else (
             (p.x, p.y, p.prop.height / 2, 0.0, 0.0, math.sin(p.yaw / 2), math.cos(p.yaw / 2))
@@ -110,7 +110,7 @@ class RoomModel:
                         tuple(rules.get_angles(state)), self._find_door_angle(state), placed)
 
     def _find_door_angle(self, state: RoomState) -> float:
-        """Angle of the exit's door, rad; without physics it stands open as soon as the robot can pass."""
+        """Angle of the exit door, rad. Without physics it is open as soon as the robot can pass."""
         if self.instance.dynamics.kind == "physics":
             return state.physics.door[0] if state.physics and state.physics.door else 0.0
         rotation = self.rules.get_rotation(state.heading_steps, state.heading_offset)
@@ -118,7 +118,7 @@ class RoomModel:
         return 0.0 if is_shut else math.pi / 2 * self.instance.door_swing
 
     def make_look(self, state: RoomState) -> RoomLook:
-        """Read from a puzzle's state which targets are on, which inner doors are shut and whether the exit is open."""
+        """Return which targets are on, which inner doors are shut and whether the exit is open in a state."""
         puzzle = self.instance.puzzle
         shut = get_mixin(puzzle, Barring).get_shut(state.puzzle)
         return RoomLook(tuple(map(bool, puzzle.get_lit(state.puzzle))),
@@ -126,7 +126,7 @@ class RoomModel:
                         puzzle.is_solved(state.puzzle))
 
     def place_leaf(self, angle: float) -> RoomPart:
-        """The exit's door in the room's frame, at an angle on its hinge, rad."""
+        """Return the exit door in the room frame, at an angle on its hinge, rad."""
         assert self.leaf is not None and self.instance.door is not None
         yaw, (x, y), half = self.instance.door.yaw + angle, self.hinge, self.leaf.shape.half_x
         return self.leaf._replace(shape=make_footprint(x + half * math.cos(yaw), y + half * math.sin(yaw), half,

@@ -1,7 +1,7 @@
 """Moving maps: an episode seen from above, as a small web page that plays without a network.
 
-The page is `templates/moving_map.html`; a notebook or a site shows it in an HTML frame (`embed_moving_map`), and the
-report of a comparison plays the same data with the same script. Lengths are metres and angles radians, in the room's
+The page is `templates/moving_map.html`. A notebook or a site shows it in an HTML frame (`embed_moving_map`). The report
+of a comparison plays the same data with the same script. Lengths are in metres and angles in radians, in the room
 frame.
 """
 
@@ -32,23 +32,23 @@ PLAYER_COLOURS = {
     "prop": palette.PROP, "propEdge": palette.PROP_EDGE, "plate": palette.PLATE, "trail": palette.TRAIL,
     "lit": palette.LIT, "off": palette.OFF, "lines": palette.LINES,
 }
-"""Colours that the player draws with."""
+"""Colours of the player."""
 PLAYER = files("hrl_escape.env.pictures") / "templates"
 """Folder of the player's script and style, `moving_map.js` and `moving_map.css`."""
-_PAD, _CONTROLS = 0.35, 76  # m round the room, as in the script; pixels of slider and words below it
+_PAD, _CONTROLS = 0.35, 76  # m around the room, as in the script; pixels of slider and text below it
 
 
 def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisions: Sequence[tuple[str, int]] = ()
                     ) -> str:
-    """Make a web page that plays an episode from above, over and over, with a slider to go through it.
+    """Make a web page that plays an episode from above in a loop, with a slider.
 
     Args:
         instance: the room.
-        states: one more than primitives.
-        decisions: name and number of primitives of each decision, in order; their numbers add up to all primitives.
+        states: states of the episode, one more than primitives.
+        decisions: name and number of primitives of each decision, in order; the numbers add up to all primitives.
 
     Returns:
-        One HTML document of some 15 kB, which loads nothing.
+        One HTML document of about 15 kB without external resources.
     """
     room = {**describe_room(instance), "options": sorted({name for name, _ in decisions})}
     replay = {"decisions": [[name, int(count), "reached"] for name, count in decisions],
@@ -59,7 +59,7 @@ def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisio
 
 
 def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str:
-    """Make an HTML frame, some pixels wide or narrower, that holds the page `make_moving_map` gave for a room."""
+    """Make an HTML frame, at most `width` pixels wide, for the page that `make_moving_map` made for a room."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
     height = round(width * (y_max - y_min + 2 * _PAD) / (x_max - x_min + 2 * _PAD)) + _CONTROLS
     return (f'<iframe class="moving-map" sandbox="allow-scripts" loading="lazy" title="{escape(instance.name)}" '
@@ -67,7 +67,7 @@ def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str
 
 
 def describe_room(instance: RoomInstance) -> dict[str, Any]:
-    """Describe what stands still in a room as a JSON value for the player; `options` is left to be filled."""
+    """Describe the fixed parts of a room as a JSON value for the player; `options` is left for the caller."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
     marks, model = palette.list_marks(instance.puzzle), RoomModel(instance)
     return {
@@ -100,10 +100,10 @@ def make_frames(rules: Rules, states: Sequence[RoomState]) -> dict[str, Any]:
     """Turn states into compact numbers for drawing.
 
     Returns:
-        `x`, `y` (m) and `heading` (rad) a state; `arm`: per state where the arm's joints and hand are, [x, y] in the
-        room, empty without an arm; `lit`, `shut` and `open`: [frame, value] where the lit targets (indices), the inner
-        doors that block the way (indices) or the exit (true if it is open) change; `props`: per state [x, y, yaw] a
-        prop, empty where none can move.
+        `x`, `y` (m) and `heading` (rad) per state. `arm`: positions [x, y] of the arm's joints and hand per state,
+        empty without an arm. `lit`, `shut` and `open`: [frame, value] at each change of the lit targets (indices), the
+        inner doors that block the way (indices), and the exit (true if open). `props`: [x, y, yaw] of each prop per
+        state, empty if none can move.
     """
     puzzle = rules.instance.puzzle
     bars = get_mixin(puzzle, Barring)
@@ -122,7 +122,7 @@ def make_frames(rules: Rules, states: Sequence[RoomState]) -> dict[str, Any]:
 
 
 def _list_changes(states: Sequence[RoomState], read: Callable[[Hashable], Any]) -> list[list[Any]]:
-    """[frame, value] of the first state and of each whose value differs from that before it."""
+    """[frame, value] of the first state and of each state whose value differs from the one before."""
     changes: list[list[Any]] = []
     for number, state in enumerate(states):
         if number and state.puzzle == states[number - 1].puzzle:
@@ -134,7 +134,7 @@ def _list_changes(states: Sequence[RoomState], read: Callable[[Hashable], Any]) 
 
 
 def _trace_arm(rules: Rules, state: RoomState) -> list[list[float]]:
-    """Places of the arm's joints and of the hand, [x, y] in the room."""
+    """Positions [x, y] of the arm's joints and of the hand, in the room frame."""
     heading = rules.get_heading(state)
     cos, sin = math.cos(heading), math.sin(heading)
     return [[round(float(state.x + cos * x - sin * y), 3), round(float(state.y + sin * x + cos * y), 3)]

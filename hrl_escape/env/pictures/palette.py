@@ -1,6 +1,6 @@
 """Colours of a room in every picture, of a target in each of its states, and of its mark.
 
-Colours are hexadecimal sRGB text, shared by maps, cameras, the viewer and reports; nothing here draws.
+Colours are hexadecimal sRGB text, shared by maps, cameras, the viewer and reports. This module draws nothing.
 """
 
 from __future__ import annotations
@@ -53,18 +53,18 @@ LOOKS = {
     "frame": "#39404d", "off": OFF.fill, "lit": LIT.fill, "mat": "#e0ac9e", "lit mat": "#ffdf7e",
     "trim": "#1f2733", "body": BODY, "arrow": "#e9eef5",
 }
-"""Colour of each role of a part in pictures in three dimensions."""
+"""Colour of each role of a part in 3-D pictures."""
 
 
 def name_target(puzzle: Puzzle, state: Hashable, target: int, is_hidden: bool = False) -> str:
-    """Name of a target in drawings: with the text that it shows, and a star for a goal that is not hidden."""
+    """Return the name of a target in drawings, with its sign, and a star for a goal that is not hidden."""
     sign = get_mixin(puzzle, Depicted).get_sign(state, target)
     star = " \N{BLACK STAR}" if not is_hidden and target in get_mixin(puzzle, Graphed).goal_targets else ""
     return puzzle.target_names[target] + (f": {sign}" if sign else "") + star
 
 
 def get_target_look(puzzle: Puzzle, state: Hashable, target: int, is_hidden: bool = False) -> TargetLook:
-    """Choose the look of a target: on, off, or off while no operator on it is applicable yet, unless that is hidden."""
+    """Return the look of a target: on, off, or waiting (no operator on it is applicable yet) unless that is hidden."""
     if puzzle.get_lit(state)[target]:
         return LIT
     if is_hidden:
@@ -75,8 +75,8 @@ def get_target_look(puzzle: Puzzle, state: Hashable, target: int, is_hidden: boo
 
 
 def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
-    """Colour and outline of the mark on each target, within a unit circle; empty where targets bear none."""
-    corners = (24, 4, 3, 10)  # of a disc, a square, a triangle and a star, whose every other corner lies further in
+    """Return colour and outline, within a unit circle, of the mark on each target; empty if targets have no marks."""
+    corners = (24, 4, 3, 10)  # of a disc, a square, a triangle and a star, whose odd corners are further inside
     found = []
     for mark in get_mixin(puzzle, Marked).marks:
         colour, shape, size = split_mark(mark)
@@ -88,13 +88,13 @@ def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
 
 
 def choose_tile(instance: RoomInstance) -> float:
-    """Side of the floor's tiles in pictures, m."""
+    """Return the side of the floor's tiles in pictures, m."""
     size = max(instance.half_width, instance.half_depth)
     return 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
 
 
 def find_front(instance: RoomInstance, target: Target) -> tuple[float, float]:
-    """Unit vector from a target towards the side it is pressed from: the one further from walls."""
+    """Return the unit vector from a target to the side where it is pressed: the one further from walls."""
     normal = (-math.sin(target.yaw), math.cos(target.yaw))
     walls = [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw) for s in instance.solids if s.role == "wall"]
 
@@ -108,6 +108,6 @@ def find_front(instance: RoomInstance, target: Target) -> tuple[float, float]:
 
 
 def to_rgb(colour: str) -> tuple[float, float, float]:
-    """Turn `#rrggbb` into red, green and blue within [0, 1]."""
+    """Convert `#rrggbb` to red, green and blue in [0, 1]."""
     red, green, blue = (byte / 255 for byte in bytes.fromhex(colour.removeprefix("#")))
     return red, green, blue

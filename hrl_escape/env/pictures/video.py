@@ -1,7 +1,7 @@
 """Frames as files: PNG pictures, GIF animations (always) and MP4 videos (extra `video`).
 
-A frame is an array (height, width, 3), uint8, RGB, from any camera or map. Files are
-written atomically. Nothing here renders.
+A frame is an array (height, width, 3), uint8, RGB, from any camera or map. Files are written atomically. This module
+does not render.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def save_picture(path: str | Path, frame: Picture) -> None:
         FileWriteError: the file could not be written.
     """
     if Path(path).suffix.lower() != ".png":
-        raise UnsupportedError(f"{path}: a frame's name must end in .png")
+        raise UnsupportedError(f"{path}: the name of a picture must end in .png")
     content = io.BytesIO()
     Image.fromarray(frame).save(content, "PNG")
     write_bytes(path, content.getvalue())
@@ -41,8 +41,8 @@ def save_video(path: str | Path, frames: Iterable[Picture], frames_per_second: f
     """Write an animation, as GIF or MP4 by the ending of `path`.
 
     Args:
-        path: ends in `.gif` or `.mp4`.
-        frames: at least one, all of one size; taken one at a time.
+        path: file that ends in `.gif` or `.mp4`.
+        frames: at least one frame, all of one size; consumed one at a time.
         frames_per_second: playing speed; GIF rounds frames to hundredths of a second.
 
     Raises:
@@ -52,7 +52,8 @@ def save_video(path: str | Path, frames: Iterable[Picture], frames_per_second: f
     """
     kind = Path(path).suffix.lower().lstrip(".")
     if kind not in VIDEO_FORMATS:
-        raise UnsupportedError(f"{path}: a video's name must end in {' or '.join('.' + f for f in VIDEO_FORMATS)}")
+        raise UnsupportedError(f"{path}: the name of a video must end in "
+                               f"{' or '.join('.' + f for f in VIDEO_FORMATS)}")
     stream = iter(frames)
     first = next(stream, None)
     if first is None:
@@ -63,7 +64,7 @@ def save_video(path: str | Path, frames: Iterable[Picture], frames_per_second: f
 
 def _make_gif(first: Picture, rest: Iterable[Picture], rate: float) -> bytes:
     content = io.BytesIO()
-    # flat colours without dithering: small files, and edges that stay where they are
+    # Flat colours without dithering keep files small and edges stable.
     images = (Image.fromarray(frame).quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
               for frame in itertools.chain([first], rest))
     next(images).save(content, "GIF", save_all=True, append_images=images, duration=round(1000 / rate), loop=0)
@@ -74,8 +75,8 @@ def _make_mp4(first: Picture, rest: Iterable[Picture], rate: float) -> bytes:
     try:
         import imageio_ffmpeg  # optional
     except ImportError:
-        raise MissingExtraError("imageio-ffmpeg", "video", "Writing MP4 (a name in .gif needs nothing)") from None
-    even = np.s_[: first.shape[0] // 2 * 2, : first.shape[1] // 2 * 2]  # H.264 needs even sizes
+        raise MissingExtraError("imageio-ffmpeg", "video", "Writing MP4 (GIF needs no extra)") from None
+    even = np.s_[: first.shape[0] // 2 * 2, : first.shape[1] // 2 * 2]  # H.264 requires even sizes
     with temporary_folder() as folder:
         path = folder / "video.mp4"
         settings: dict[str, Any] = {"fps": rate, "macro_block_size": 2, "quality": 8, "ffmpeg_log_level": "error"}

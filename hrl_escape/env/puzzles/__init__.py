@@ -1,7 +1,7 @@
-"""Puzzles: the rules that open the exit, one file a puzzle.
+"""Puzzles: the rules that open the exit, one file per puzzle.
 
-Importing this package imports every module in it; each puzzle's file ends with `register_puzzle`,
-so a new file is a new puzzle.
+Importing this package imports every module in it. The file of a puzzle ends with `register_puzzle`, which makes a new
+file a new puzzle.
 """
 
 from importlib import import_module

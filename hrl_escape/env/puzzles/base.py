@@ -1,8 +1,8 @@
-"""Puzzles: the rules that must be solved before the exit opens (paper, section 5.1).
+"""Puzzles: the rules that open the exit (paper, section 5.1).
 
-A puzzle sees contacts and keeps state; it declares its observation numbers, what is lit, and
-whether it is solved. It knows no engine and no geometry beyond the panels it asks the room to place.
-A puzzle of your own is registered by `register_puzzle`, or by an entry point in the group `hrl_escape.puzzles`.
+A puzzle reads contacts and updates its state. It declares its observation numbers, which targets are lit, and when it
+is solved. It is independent of engines; its only geometry is the panels and pads that it asks the room to place.
+`register_puzzle`, or an entry point in the group `hrl_escape.puzzles`, adds a puzzle of your own.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ __all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", 
            "Puzzle", "PuzzleConfig", "PuzzleKind", "Success", "get_puzzle_kind", "list_puzzles", "register_puzzle"]
 
 MOST_DERIVED = 20_000
-"""Most states of a puzzle whose symbolic model is derived."""
+"""Largest number of states of a derived symbolic model."""
 SOLVED = "solved"
 """Proposition of a derived model that holds in the solved states."""
 PuzzleState: TypeAlias = Any
-"""A hashable value of each puzzle's own type; its rules name that type."""
+"""A hashable value; each puzzle defines its own type."""
 PlacesType = TypeVar("PlacesType", Panels, Pads)
 Success = Annotated[float, Range(0, 1, open_low=True)]
-"""Type of a field: the probability in [0, 1] that a press has its effect."""
+"""Type of a field: probability in [0, 1] that a press has its effect."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _OfKind(HashedSettings, ABC):
-    """Settings of one registered kind of puzzle, named by the field `kind` in plain dicts."""
+    """Settings of one registered kind of puzzle; the field `kind` names it in plain dicts."""
 
     kind: ClassVar[str]
     _section = "puzzle"
     _default_kind: ClassVar[str | None] = None
     _family: ClassVar[str]
-    """Field of `PuzzleKind` with this family's class: the room configuration's, or that of the rules."""
+    """Field of `PuzzleKind` that holds this family of classes."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the kind and the fields as plain values."""
@@ -58,7 +58,7 @@ class _OfKind(HashedSettings, ABC):
 
         Raises:
             UnknownNameError: no such kind of puzzle, or no such field.
-            ConfigError: a value is not possible.
+            ConfigError: a value is not valid.
         """
         if not isinstance(data, Mapping):
             raise ConfigError(cls._section, data, "a table of fields")
@@ -72,16 +72,16 @@ class _OfKind(HashedSettings, ABC):
 
 @dataclasses.dataclass(frozen=True)
 class PuzzleConfig(_OfKind):
-    """The puzzle's part of the room configuration; `make_puzzle` draws its random parts.
+    """Puzzle section of a room configuration; `make_puzzle` samples its random parts.
 
-    A field of type `Panels` or `Pads` says how large its targets are and where the room places them.
+    A field of type `Panels` or `Pads` sets the sizes and places of the targets.
     """
 
     needs_physics: ClassVar[bool] = False
     _default_kind, _family = "buttons", "config_type"
 
     def check(self) -> None:
-        """Check that all targets have places; puzzles with settings that relate several fields extend it."""
+        """Check that every target has a place. Puzzles that relate several fields extend this."""
         for section, laid, other in (("panels", self.panels, self.pads), ("pads", self.pads, self.panels)):
             if laid is None or other is not None:
                 continue
@@ -92,14 +92,14 @@ class PuzzleConfig(_OfKind):
                 raise ConfigError(f"{section}.places", len(laid.places), f"at least puzzle.count = {count} places")
 
     def count_targets(self) -> int:
-        """Number of panels or pads: the field `count`, or that of the puzzle where nothing in it is random."""
+        """Return the number of panels or pads: the field `count`, or the targets of a puzzle without random parts."""
         count: int | None = getattr(self, "count", None)
         return len(self.make_puzzle(np.random.default_rng(0)).target_names) if count is None else count
 
     def make_puzzle(self, rng: np.random.Generator) -> Puzzle:
-        """Sample a concrete puzzle (a graph, say) from this room configuration.
+        """Sample a concrete puzzle, such as a graph, from this configuration.
 
-        By default nothing is random: the puzzle's fields are those of the same names here.
+        By default nothing is random: the fields of the puzzle are the fields of the same names here.
         """
         puzzle = get_puzzle_kind(self.kind).puzzle_type
         names = {field.name for field in dataclasses.fields(self)}
@@ -108,12 +108,12 @@ class PuzzleConfig(_OfKind):
 
     @property
     def panels(self) -> Panels | None:
-        """Sizes and places of the puzzle's panels; None if it has none."""
+        """Sizes and places of the puzzle's panels, or None if it has none."""
         return self._find_field(Panels)
 
     @property
     def pads(self) -> Pads | None:
-        """Sizes and places of the puzzle's pads; None if it has none."""
+        """Sizes and places of the puzzle's pads, or None if it has none."""
         return self._find_field(Pads)
 
     def _find_field(self, kind: type[PlacesType]) -> PlacesType | None:
@@ -125,14 +125,14 @@ class PuzzleConfig(_OfKind):
 class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
-    A puzzle defines `kind`, `fixed_names` or `target_names`, `update` and `is_solved`. The other members have defaults;
-    rarer abilities are mixins (`mixins.py`), among them a symbolic model of its own (`Modelled`).
+    A puzzle defines `kind`, `fixed_names` or `target_names`, `update` and `is_solved`. The other members have defaults.
+    Mixins (`mixins.py`) add further abilities, such as a hand-written symbolic model (`Modelled`).
 
     Attributes:
         kind: registered name.
-        fixed_names: names of the targets, where they are the same in every room.
+        fixed_names: names of the targets, if they are the same in every room.
         are_pads: true if all targets are pads on the floor.
-        about: the puzzle in a sentence, for whoever plays it; it says nothing that differs from room to room.
+        about: one sentence for players about the puzzle. It must be true in every room.
     """
 
     fixed_names: ClassVar[tuple[str, ...]]
@@ -142,7 +142,7 @@ class Puzzle(_OfKind):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Names of the targets, by default `fixed_names`; a target's number is its index here."""
+        """Names of the targets, by default `fixed_names`. The index of a target in this tuple is its number."""
         return self.fixed_names
 
     @property
@@ -152,73 +152,73 @@ class Puzzle(_OfKind):
 
     @property
     def is_watching(self) -> bool:
-        """True if `update` is called after every primitive, false if only after those that press or grip."""
+        """True if `update` is called after every primitive; false if only after primitives that press or grip."""
         return False
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """Numbers, ascending, at which the outcome of `contacts.uniform` changes: (0.9,) for success 9 times in 10.
+        """Ascending thresholds at which the outcome of `contacts.uniform` changes: (0.9,) for success 9 times in 10.
 
-        Each is the first number of its outcome, so rules compare by `contacts.uniform < chance`. By default that of the
-        field `success`, if the puzzle has one and it is less than 1.
+        Rules compare by `contacts.uniform < chance`, and a threshold belongs to the outcome above it. The default is
+        the field `success`, if the puzzle has one and it is less than 1.
         """
         success: float = getattr(self, "success", 1.0)
         return (success,) if success < 1.0 else ()
 
     @property
     def is_random(self) -> bool:
-        """True if the outcome of a press or grip is drawn: `update` then reads `contacts.uniform`."""
+        """True if the outcome of a press or grip is random: `update` then reads `contacts.uniform`."""
         return bool(self.chances)
 
     def make_state(self) -> PuzzleState:
-        """Return the state at the start of an episode, by default 0."""
+        """Return the initial state, by default 0."""
         return 0
 
     def list_starts(self) -> tuple[PuzzleState, ...]:
-        """List the states in which episodes may begin, equally likely. The first is `make_state()`."""
+        """List the possible initial states, all equally likely. The first is `make_state()`."""
         return (self.make_state(),)
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a state of this puzzle; by default, if its numbers are within bounds."""
+        """Return whether an untrusted value is a state; by default, whether its observation is within `bounds`."""
         try:
             numbers = self.observe(state)
             return type(state) is type(self.make_state()) and len(numbers) == len(self.bounds) and all(
                 low <= number <= high for number, (low, high) in zip(numbers, self.bounds, strict=True))
-        except Exception:  # whatever the rules raise on a value that is no state of theirs
+        except Exception:  # rules may raise anything on a value that is not a state
             return False
 
     @abstractmethod
     def update(self, state: PuzzleState, contacts: Contacts) -> PuzzleState:
-        """Return the state after one primitive's contacts; presses count in index order."""
+        """Return the state after the contacts of one primitive; presses count in index order."""
 
     @abstractmethod
     def is_solved(self, state: PuzzleState) -> bool:
         """Return whether the exit is open."""
 
     def is_failed(self, state: PuzzleState) -> bool:
-        """Return whether the puzzle is failed here: the episode then ends without an escape."""
+        """Return whether the puzzle is failed, which ends the episode without success."""
         return False
 
     def compute_reward(self, before: PuzzleState, after: PuzzleState, contacts: Contacts) -> float:
-        """Reward that the puzzle adds to the room's for a primitive after which `update` was called."""
+        """Return the puzzle's reward for a primitive after which `update` was called; it is added to the room's."""
         return 0.0
 
     @property
     def has_reward(self) -> bool:
-        """True if the puzzle adds rewards: a return then does not follow from the number of primitives."""
+        """True if the puzzle adds rewards. The return then depends on more than the number of primitives."""
         return type(self).compute_reward is not Puzzle.compute_reward
 
     def compute_progress(self, state: PuzzleState) -> float:
-        """Share in [0, 1] of the facts needed for the goal that hold; by default, of the goal's own facts.
+        """Return the fraction, in [0, 1], of the required facts that hold; by default the facts of the goal.
 
-        Puzzles with dependencies count what the goal depends on as well, and facts that must be off count as others do.
+        Puzzles with dependencies also count the facts that the goal depends on. Facts that must be off count as well.
         """
         goal = self._goal
         return len(goal & self.symbolic.get_facts(state)) / len(goal) if goal else float(self.is_solved(state))
 
     @cached_property
     def _goal(self) -> frozenset[str]:
-        """Goal of the puzzle's own model; empty for a derived model, which is slow to make and tells no more."""
+        """Goal of the puzzle's hand-written model. Empty for a derived model: it is slow to make and adds no facts."""
         return self.make_symbolic_model().goal if isinstance(self, Modelled) else frozenset()
 
     @property
@@ -227,32 +227,32 @@ class Puzzle(_OfKind):
         return ((0.0, 1.0),) * len(self.observe(self.make_state()))
 
     def observe(self, state: PuzzleState) -> tuple[float, ...]:
-        """Return the N_p observation numbers, within `bounds`; by default one a target, 1 while it is on."""
+        """Return the N_p observation numbers, within `bounds`; by default one per target, 1 while it is on."""
         return tuple(map(float, self.get_lit(state)))
 
     @property
     def light_numbers(self) -> tuple[int, ...]:
-        """Place of each target's light among the observation numbers; empty where these are no lights.
+        """Index of each target's light among the observation numbers; empty if the puzzle observes no lights.
 
-        By default one a target where `observe` is the default too.
+        The default has one per target, if `observe` has its default too.
         """
         return tuple(range(len(self.target_names))) if type(self).observe is Puzzle.observe else ()
 
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
-        """Return for each target whether it is on; by default none is."""
+        """Return whether each target is on, shape (targets,); by default none is."""
         return (False,) * len(self.target_names)
 
     def describe(self, state: PuzzleState) -> tuple[str, ...]:
-        """Sentences on what `observe` shows beyond the lights; by default its numbers, unless they are the lights.
+        """Return sentences about what `observe` shows in addition to the lights; by default its numbers.
 
-        They name no places, which are for the room to describe. A puzzle that observes places overrides this.
+        Sentences contain no positions, because the room describes those. Puzzles that observe positions override this.
         """
         numbers = self.observe(state)
         return () if numbers == self.get_lit(state) else (f"The display reads {' '.join(f'{n:g}' for n in numbers)}.",)
 
     @property
     def symbolic(self) -> Modelled:
-        """Symbolic model for planners, option synthesis and PDDL export: the puzzle's own, or a derived one."""
+        """Symbolic model for planners, hierarchies and PDDL export: the puzzle's own, or a derived one."""
         return self if isinstance(self, Modelled) else self._derived
 
     @cached_property
@@ -261,10 +261,10 @@ class Puzzle(_OfKind):
 
 
 class DerivedModel(Modelled):
-    """The model of a puzzle's rules, by a visit to every reachable state on first use.
+    """Symbolic model derived from a puzzle's rules, by visiting every reachable state on first use.
 
-    It has a proposition per state, and an operator per target with a conditional effect per state. Effects are those of
-    the most likely outcome; other outcomes lead to states as well.
+    It has one proposition per state, and one operator per target with a conditional effect per state. Effects are those
+    of the most likely outcome. States that less likely outcomes lead to are visited as well.
     """
 
     def __init__(self, puzzle: Puzzle) -> None:
@@ -276,7 +276,7 @@ class DerivedModel(Modelled):
         return self._puzzle.target_names
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """The model.
+        """Return the model.
 
         Raises:
             UnsupportedError: there are more than `MOST_DERIVED` states.
@@ -284,10 +284,10 @@ class DerivedModel(Modelled):
         return self._derived[0]
 
     def get_facts(self, state: Hashable) -> frozenset[str]:
-        """The state's own proposition, and `SOLVED`."""
+        """Return the proposition of the state, and `SOLVED` in solved states."""
         facts = self._derived[1].get(state)
         if facts is None:
-            raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
+            raise ConfigError("puzzle.state", state, "a state that presses can reach from an initial state")
         return facts
 
     @cached_property
@@ -307,8 +307,8 @@ class DerivedModel(Modelled):
                 for after in outcomes:
                     if after not in numbers:
                         if len(numbers) == MOST_DERIVED:
-                            raise UnsupportedError(f"puzzle {puzzle.kind!r} has more than {MOST_DERIVED:,} states: "
-                                                   "make it Modelled, with make_symbolic_model and get_facts")
+                            raise UnsupportedError(f"puzzle {puzzle.kind!r} has more than {MOST_DERIVED:,} states. "
+                                                   "Make it Modelled, with make_symbolic_model and get_facts")
                         numbers[after] = len(numbers)
                         queue.append(after)
         facts = {state: frozenset([f"state({number})"] + [SOLVED] * bool(puzzle.is_solved(state)))
@@ -323,14 +323,14 @@ class DerivedModel(Modelled):
 
 
 class PuzzleKind(NamedTuple):
-    """A registered puzzle: its part of the room configuration and its rules."""
+    """A registered puzzle: its section of the room configuration, and its rules."""
 
     config_type: type[PuzzleConfig]
     puzzle_type: type[Puzzle]
 
 
 def _is_kind(value: Any) -> bool:
-    """True for a config type and a puzzle type; raises `ConfigError` if the two do not belong together."""
+    """True for a pair (config type, puzzle type); raises `ConfigError` if the two do not match."""
     if not (isinstance(value, tuple) and len(value) == 2 and all(isinstance(part, type) for part in value)
             and issubclass(value[0], PuzzleConfig) and issubclass(value[1], Puzzle)):
         return False
@@ -350,20 +350,20 @@ def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) 
     """Register a puzzle under its `kind`.
 
     Raises:
-        ConfigError: the two types differ in `kind`, another puzzle has that name, or the targets have none.
+        ConfigError: the types differ in `kind`, the name is taken, or the targets have no names.
     """
     puzzles.register(config_type.kind, PuzzleKind(config_type, puzzle_type))
 
 
 def get_puzzle_kind(kind: Any) -> PuzzleKind:
-    """Return the puzzle of a name.
+    """Return a puzzle by name.
 
     Raises:
-        UnknownNameError: no puzzle of that name; the message lists those there are.
+        UnknownNameError: no puzzle of that name; the message lists the valid names.
     """
     return PuzzleKind(*puzzles.get(kind))
 
 
 def list_puzzles() -> tuple[str, ...]:
-    """Return the names of all puzzles in alphabetical order; one that cannot be loaded is left out with a warning."""
+    """Return the names of all puzzles in alphabetical order. Puzzles that fail to load are omitted with a warning."""
     return tuple(sorted(puzzles.load_all()))

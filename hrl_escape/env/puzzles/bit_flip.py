@@ -1,12 +1,10 @@
-"""BitFlip (Diuk, Strehl and Littman 2006) on a wall: bits that are flipped in one order.
+"""BitFlip (Diuk, Strehl and Littman 2006) on a wall: bits that must be flipped in one order.
 
-Bit i can be flipped only while all lower bits are on; pressed too early, it and all lower bits go
-off. All bits on open the exit: n presses at the fewest, from the lowest bit to the highest. The
-rule is the one that public implementations of the domain restate ("flip from left to right; the
-penalty is a reset of all bits to the left"), among them that of Mehta et al. 2008 ("Automatic
-discovery and transfer of MAXQ hierarchies"), whose additional parity condition on the last bit is
-left out. Unlike the button puzzle it is not monotone: a press can undo many. The state is an
-integer whose bit i is bit i.
+Bit i can be flipped only while all lower bits are on. Pressed too early, it and all lower bits go off. All bits on open
+the exit, which takes at least n presses, from the lowest bit to the highest. The rule follows public implementations of
+the domain ("flip from left to right; the penalty is a reset of all bits to the left"), such as Mehta et al. 2008
+("Automatic discovery and transfer of MAXQ hierarchies"), without their parity condition on the last bit. Unlike the
+button puzzle, BitFlip is not monotone: one press can undo many. The state is an integer whose bit i is bit i.
 """
 
 from __future__ import annotations
@@ -23,12 +21,12 @@ from hrl_escape.settings import Range
 
 @dataclasses.dataclass(frozen=True)
 class BitFlipConfig(PuzzleConfig):
-    """Room configuration of a BitFlip puzzle, one wall panel a bit."""
+    """Configuration of a BitFlip puzzle, one wall panel per bit."""
 
     kind = "bit-flip"
     _takes_ranges = True
     count: Annotated[int, Range(1, 64)] = 4
-    """Number of bits, each with a panel."""
+    """Number of bits, each with a panel. More bits make mistakes more costly."""
     buttons: Panels = Panels()
     """Sizes and places of the bits' panels."""
 
@@ -43,16 +41,16 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
-        """Each bit waits for the one below it (and so for all lower ones)."""
+        """Each bit waits for the bit below it, and thereby for all lower bits."""
         return tuple((i, i + 1) for i in range(self.count - 1))
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Numbers of all bits: the exit opens once all are on."""
+        """Indices of all bits: the exit opens once all are on."""
         return tuple(range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Flip the bit, or clear it and all lower ones, for each press in index order."""
+        """Apply presses in index order: flip the bit, or clear it and all lower bits."""
         for bit in contacts.pressed:
             lower = (1 << bit) - 1
             if state & lower == lower:
@@ -66,7 +64,7 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
         return state == (1 << self.count) - 1
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """Two operators a bit, to set and to clear it, applicable while all lower bits are on."""
+        """Return the model: two operators per bit, to set and to clear it, applicable while all lower bits are on."""
         fact = [f"on({name})" for name in self.target_names]
         operators = []
         for i, name in enumerate(self.target_names):

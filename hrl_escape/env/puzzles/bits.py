@@ -1,4 +1,4 @@
-"""Bases of puzzles whose state is a word of bits, one a target: bit i is 1 while target i is on."""
+"""Bases of puzzles whose state is a word with one bit per target: bit i is 1 while target i is on."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hrl_escape.settings import Range
 
 
 class BitPuzzle(Modelled, Puzzle):
-    """Base of puzzles of bits; a subclass adds rules, the symbolic model, and the field `count`.
+    """Base class of puzzles of bits. A subclass adds rules, the symbolic model, and the field `count`.
 
     Attributes:
-        word: what a target is called; target i is `<word>-<i+1>`.
+        word: prefix of target names; target i is `<word>-<i+1>`.
     """
 
     word: ClassVar[str]
@@ -31,21 +31,21 @@ class BitPuzzle(Modelled, Puzzle):
         return tuple(f"{self.word}-{i + 1}" for i in range(self.count))
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a word of this many bits."""
+        """Return whether an untrusted value is an integer with one bit per target."""
         return type(state) is int and 0 <= state < 1 << self.count
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Return for each target whether it is on."""
+        """Return whether each target is on."""
         return tuple(bool(state >> i & 1) for i in range(self.count))
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`on(<name>)` for every target that is on."""
+        """Return `on(<name>)` for every target that is on."""
         return frozenset(f"on({name})" for i, name in enumerate(self.target_names) if state >> i & 1)
 
 
 @dataclasses.dataclass(frozen=True)
 class GraphPuzzle(Graphed, BitPuzzle):
-    """Base of puzzles whose targets depend on each other along a DAG with one goal; subclasses give names and rules."""
+    """Base class of puzzles whose targets form a DAG of dependencies with one goal. Subclasses add names and rules."""
 
     count: Annotated[int, Range(1, 64)] = 1
     """Number of targets, and of bits in the state."""
@@ -55,14 +55,14 @@ class GraphPuzzle(Graphed, BitPuzzle):
     """Number of the target that opens the exit, from 0."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         compute_order(self.count, self.edge_list)
         if self.goal >= self.count:
             raise ConfigError("puzzle.goal", self.goal, f"a number from 0 to {self.count - 1}")
 
     @cached_property
     def parent_masks(self) -> tuple[int, ...]:
-        """For each target, the bits of its parents."""
+        """Bits of the parents of each target."""
         return mask_parents(self.edge_list, self.count)
 
     @property
@@ -72,7 +72,7 @@ class GraphPuzzle(Graphed, BitPuzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Number of the one target that opens the exit."""
+        """Index of the target that opens the exit, as a tuple of one."""
         return (self.goal,)
 
     def is_solved(self, state: int) -> bool:
@@ -80,7 +80,7 @@ class GraphPuzzle(Graphed, BitPuzzle):
         return bool(state >> self.goal & 1)
 
     def compute_progress(self, state: int) -> float:
-        """Share in [0, 1] of the goal and its ancestors that are on."""
+        """Return the fraction, in [0, 1], of the goal and its ancestors that are on."""
         wanted = self._wanted
         return (state & wanted).bit_count() / wanted.bit_count()
 
@@ -89,7 +89,7 @@ class GraphPuzzle(Graphed, BitPuzzle):
         return sum(1 << target for target in find_ancestors(self.edge_list, (self.goal,)))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator per target, applicable when its parents are on and it is off; other presses are useless."""
+        """Return the model: one operator per target, applicable while its parents are on and it is off."""
         fact = [f"on({name})" for name in self.target_names]
         operators = []
         for i, name in enumerate(self.target_names):

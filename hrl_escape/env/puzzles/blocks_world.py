@@ -1,10 +1,10 @@
-"""Blocks World with a gripper: towers are taken apart and built, block by block, until the goal's facts hold.
+"""Blocks World with a gripper: take towers apart and build them, block by block, until the goal holds.
 
-Each block has a place of its own, a panel: on it stands the tower whose lowest block it is, if that is on the table.
-`grip` while touching a place takes the top block of its tower; `release` puts the held block on the tower, and on an
-empty place only where it is the block's own. That is the domain with four operators (pick-up, put-down, stack,
-unstack) exactly, for every block has one place on the table. The state is a word of four bits a block: the block below
-it, itself on the table, or `IN_HAND` while it is held. Problems are drawn, or read from PDDL.
+Each block has its own place, a panel. The tower whose lowest block it is, if that block is on the table, is at that
+place. `grip` while touching a place takes the top block of its tower. `release` puts the held block on the tower; an
+empty place accepts only its own block. This is exactly the domain with four operators (pick-up, put-down, stack,
+unstack), because every block has one place on the table. The state is a word of four bits per block: the block below
+it, itself if on the table, or `IN_HAND`. Problems are drawn at random, or read from PDDL.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from hrl_escape.search import find_cheapest_steps
 from hrl_escape.settings import Range
 
 IN_HAND = 15
-"""Stands for the hand as the support of a held block."""
+"""Value for the hand as the support of a held block."""
 MOST_BLOCKS = 12
 
 Towers: TypeAlias = tuple[int, ...]
@@ -35,15 +35,15 @@ Towers: TypeAlias = tuple[int, ...]
 
 
 class TowersGoal(NamedTuple):
-    """Demands on towers."""
+    """Requirements on towers."""
 
-    on: tuple[tuple[int, int], ...]  # pairs of a block and what it must stand on, itself for the table
-    clear: tuple[int, ...] = ()  # blocks on which nothing may stand, and which are not held
-    is_free: bool = False  # the hand must be empty
+    on: tuple[tuple[int, int], ...]  # pairs of a block and its support; a block on the table supports itself
+    clear: tuple[int, ...] = ()  # blocks that must have nothing on them and must not be held
+    is_free: bool = False  # whether the hand must be empty
 
 
 class Problem(NamedTuple):
-    """A problem of Blocks World: names of the blocks, their towers at first, and the goal."""
+    """A problem of Blocks World: names of the blocks, the initial towers, and the goal."""
 
     names: tuple[str, ...]
     start: Towers
@@ -51,7 +51,7 @@ class Problem(NamedTuple):
 
 
 def list_tower(towers: Towers, base: int) -> list[int]:
-    """Blocks of the tower whose lowest block is `base`, from the table up; none if that does not stand on the table."""
+    """Return the blocks of the tower above `base`, from the table up; empty if `base` is not on the table."""
     above = {below: block for block, below in enumerate(towers) if below != block}
     tower = [base] if towers[base] == base else []
     while tower and tower[-1] in above:
@@ -79,7 +79,7 @@ def meets_goal(towers: Towers, goal: TowersGoal) -> bool:
 
 
 def _count_least(towers: Towers, goal: TowersGoal) -> int:
-    """Lower bound of the moves to the goal: blocks that must be moved, gripped and released once each."""
+    """Lower bound on the moves to the goal: each block that must move is gripped and released once."""
     wanted, known = dict(goal.on), dict[int, bool]()
 
     def must_move(block: int) -> bool:
@@ -94,9 +94,9 @@ def _count_least(towers: Towers, goal: TowersGoal) -> int:
 
 
 def find_fewest_moves(towers: Towers, goal: TowersGoal) -> tuple[tuple[int, int], ...] | None:
-    """The fewest moves that lead to a goal, as (1 to grip or -1 to release, lowest block of the tower); None for none.
+    """Return the fewest moves to a goal, as (1 to grip or -1 to release, lowest block), or None if there are none.
 
-    A* with the number of blocks that must be moved. Beyond 10,000 states it continues greedily.
+    Uses A* with the number of blocks that must move. After 10,000 states the search continues greedily.
     """
     return find_cheapest_steps(
         towers, lambda state: meets_goal(state, goal),
@@ -109,14 +109,14 @@ def find_fewest_moves(towers: Towers, goal: TowersGoal) -> tuple[tuple[int, int]
 
 @lru_cache(maxsize=1024)
 def _count_towers(loose: int, placed: int) -> int:
-    """Number of ways to place `loose` towers that stand nowhere yet, given the number already on the table."""
+    """Number of ways to place `loose` towers, given the number that are already on the table."""
     if loose == 0:
         return 1
     return _count_towers(loose - 1, placed) * (loose - 1 + placed) + _count_towers(loose - 1, placed + 1)
 
 
 def sample_towers(count: int, rng: np.random.Generator) -> Towers:
-    """Draw towers, each with the same probability (Slaney and Thiebaux 2001).
+    """Sample towers uniformly (Slaney and Thiebaux 2001).
 
     Towers are placed one after another, on the table or on another tower.
     """
@@ -141,7 +141,7 @@ def read_towers(text: str) -> Problem:
     """Read a PDDL problem of the domain with four operators: pick-up, put-down, stack and unstack.
 
     Raises:
-        ConfigError: the text is no PDDL, or no problem of that domain.
+        ConfigError: the text is not PDDL, or not a problem of that domain.
     """
     parts = {str(part[0]): part[1:] for part in _read_list(text)[1:] if isinstance(part, list) and part}
     if not {":objects", ":init", ":goal"} <= parts.keys():
@@ -162,7 +162,7 @@ def read_towers(text: str) -> Problem:
 
 
 def _read_list(text: str) -> list:
-    """Nested lists of the words of an expression in parentheses, in lower case; comments are left out."""
+    """Nested lists of the words of an expression in parentheses, in lower case, without comments."""
     words = re.findall(r"[()]|[^\s()]+", re.sub(r";[^\n]*", "", text.lower()))
     open_lists: list[list] = [[]]
     for word in words:
@@ -179,7 +179,7 @@ def _read_list(text: str) -> list:
 
 
 def _list_blocks(objects: list) -> tuple[str, ...]:
-    """Names of the objects that are blocks; some versions of the domain have a robot as well."""
+    """Names of the objects that are blocks. Some versions of the domain have a robot as well."""
     blocks, untyped, words = list[str](), list[str](), iter(map(str, objects))
     for word in words:
         if word != "-":
@@ -191,7 +191,7 @@ def _list_blocks(objects: list) -> tuple[str, ...]:
 
 
 def _read_fact(fact: object, names: tuple[str, ...]) -> tuple:
-    """A fact with numbers for blocks; a block that is on the table is on itself."""
+    """A fact with numbers for blocks. A block that is on the table is on itself."""
     counts = {"on": 2, "ontable": 1, "clear": 1, "handempty": 0}
     if isinstance(fact, list) and fact and fact[0] == "handempty":
         return ("handempty",)
@@ -206,23 +206,23 @@ _LETTERS = "abcdefghijkl"
 
 @dataclasses.dataclass(frozen=True)
 class BlocksWorldConfig(PuzzleConfig):
-    """Room configuration of Blocks World; the instance seed draws the first towers and those of the goal, uniformly."""
+    """Configuration of Blocks World. The instance seed draws the initial towers and the goal's, uniformly."""
 
     kind = "blocks-world"
     _takes_ranges = True
     count: Annotated[int, Range(2, MOST_BLOCKS)] = 4
-    """Number of blocks; ignored where `problem` names them."""
+    """Number of blocks; ignored if `problem` is given. More blocks need longer plans."""
     problem: str | None = None
-    """A PDDL problem of the domain with four operators, instead of drawn towers."""
+    """A PDDL problem of the domain with four operators, instead of random towers."""
     places: Panels = Panels(gap=1.0)
-    """Sizes and places of the panels, one for each block."""
+    """Sizes and places of the panels, one per block."""
 
     def count_targets(self) -> int:
-        """Number of blocks."""
+        """Return the number of blocks."""
         return self.count if self.problem is None else len(read_towers(self.problem).names)
 
     def make_puzzle(self, rng: np.random.Generator) -> BlocksWorldPuzzle:
-        """Read the problem, or draw one that is not solved yet."""
+        """Read the problem, or sample one that is not solved yet."""
         if self.problem is not None:
             names, start, goal = read_towers(self.problem)
             return BlocksWorldPuzzle(names, start, goal.on, goal.clear, goal.is_free)
@@ -234,7 +234,7 @@ class BlocksWorldConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
-    """A concrete problem. The place of block `a` is called `place-a`."""
+    """A concrete problem. The name of block `a`'s place is `place-a`."""
 
     kind = "blocks-world"
     about = ("Blocks stand in towers on places. Grip takes the top block of a tower into the hand, release puts it on "
@@ -242,23 +242,23 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
     names: tuple[str, ...] = ("a", "b")
     """Names of the blocks."""
     start: tuple[Block, ...] = (0, 1)
-    """For each block, the number of the block below it at first; its own number for the table."""
+    """Number of the initial support of each block; its own number for the table."""
     goal: tuple[tuple[Block, Block], ...] = ((0, 1),)
-    """Pairs of a block and what it must stand on."""
+    """Pairs of a block and its required support."""
     clear: tuple[Block, ...] = ()
-    """Blocks that must be clear in the end."""
+    """Blocks that must be clear at the end."""
     free_hand: bool = False
-    """The hand must be empty in the end."""
+    """Whether the hand must be empty at the end."""
 
     def check(self) -> None:
-        """Check that the towers stand, and that the goal can be reached."""
+        """Check that the towers are valid, and that the goal is reachable."""
         count = len(self.names)
         if not 1 <= count <= MOST_BLOCKS or len(set(self.names)) < count:
             raise ConfigError("puzzle.names", self.names, f"1 to {MOST_BLOCKS} different names")
         self._check_towers("puzzle.start", self.start)
         wanted = dict(self.goal)
         if len(wanted) < len(self.goal) or not {*wanted, *wanted.values(), *self.clear} <= set(range(count)):
-            raise ConfigError("puzzle.goal", self.goal, f"for each of {count} blocks one place at most")
+            raise ConfigError("puzzle.goal", self.goal, f"at most one support for each of {count} blocks")
         self._check_towers("puzzle.goal", tuple(wanted.get(block, block) for block in range(count)))
         if any(below in self.clear and below != block for block, below in self.goal):
             raise ConfigError("puzzle.clear", self.clear, "blocks on which the goal puts nothing")
@@ -270,7 +270,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @cached_property
     def wanted(self) -> TowersGoal:
-        """Goal that the towers must meet."""
+        """Requirements on the towers."""
         return TowersGoal(self.goal, self.clear, self.free_hand)
 
     @property
@@ -280,13 +280,13 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Places on which a tower stands in the end, as far as the goal says."""
+        """Places with a tower at the end, as far as the goal determines them."""
         return tuple(block for block, below in self.goal if block == below)
 
     # --- states ------------------------------------------------------------------------
 
     def encode(self, towers: Towers) -> int:
-        """State in which the towers stand like that: four bits a block."""
+        """Return the state of given towers: four bits per block."""
         return sum(below << 4 * block for block, below in enumerate(towers))
 
     def decode(self, state: int) -> Towers:
@@ -294,11 +294,11 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return tuple(state >> 4 * block & 15 for block in range(len(self.names)))
 
     def make_state(self) -> int:
-        """State of the first towers."""
+        """Return the state of the initial towers."""
         return self.encode(self.start)
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a state: towers that stand, and at most one block in the hand."""
+        """Return whether an untrusted value is a state: valid towers, and at most one block in the hand."""
         if type(state) is not int or not 0 <= state < 1 << 4 * len(self.names):
             return False
         towers = self.decode(state)
@@ -311,7 +311,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return not held or len(held) == 1 and towers.count(held[0]) == 0
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Take the top block of the touched place's tower, or put the held one there; of several, the first counts."""
+        """Take the top block of the touched tower, or put the held block there. Of several places, the first counts."""
         if not contacts.grip or not contacts.touching:
             return state
         towers = self.decode(state)
@@ -319,14 +319,14 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return next((self.encode(then) for grip, base, then in list_moves(towers) if (grip, base) == wanted), state)
 
     def is_solved(self, state: int) -> bool:
-        """Return whether the goal's facts hold."""
+        """Return whether the goal holds."""
         return meets_goal(self.decode(state), self.wanted)
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """For each block n + 1 numbers, 1 for what it stands on (itself: the table), the last for the hand.
+        """Return n + 1 numbers per block: 1 for its support (itself: the table), the last for the hand.
 
-        Then as many for what the goal wants it to stand on; all are 0 where it does not care, and the last is 1 where
-        nothing may stand on it.
+        The same for the support that the goal requires follows. These are all 0 without a requirement; the last is 1 if
+        the block must be clear.
         """
         count, numbers, wanted = len(self.names), list[float](), dict(self.goal)
         for below in self.decode(state):
@@ -336,24 +336,24 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return tuple(numbers)
 
     def describe(self, state: int) -> tuple[str, ...]:
-        """The block in the hand, and the goal."""
+        """Return sentences about the block in the hand and the goal."""
         held = [self.names[block] for block, below in enumerate(self.decode(state)) if below == IN_HAND]
         wanted = [f"{self.names[block]} on {'the table' if below == block else self.names[below]}"
                   for block, below in self.goal] + [f"nothing on {self.names[block]}" for block in self.clear]
         return f"In the hand: {held[0] if held else 'nothing'}.", f"Wanted: {join_words(wanted)}."
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Return for each place whether a tower stands on it."""
+        """Return whether each place has a tower."""
         return tuple(below == block for block, below in enumerate(self.decode(state)))
 
     def get_sign(self, state: int, target: int) -> str:
-        """Names of the blocks in the tower on a place, from the table up."""
+        """Return the names of the blocks in the tower on a place, from the table up."""
         return " ".join(self.names[block] for block in list_tower(self.decode(state), target))
 
     # --- for planners ------------------------------------------------------------------
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """Facts of PDDL (`on(a,b)`, `ontable(a)`, `clear(a)`, `holding(a)`, `handempty`), and `at(a,place)`."""
+        """Return PDDL's facts (`on(a,b)`, `ontable(a)`, `clear(a)`, `holding(a)`, `handempty`) and `at(a,place)`."""
         towers, names, facts = self.decode(state), self.names, set[str]()
         for block, below in enumerate(towers):
             name = names[block]
@@ -369,7 +369,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return frozenset(facts if IN_HAND in towers else facts | {"handempty"})
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """The four operators of PDDL, those on towers once for each place on which they can stand."""
+        """Return the model: the four operators of PDDL; those on towers once per place where they apply."""
         return self._model
 
     @cached_property
@@ -402,7 +402,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
                              frozenset(goal) | (hand if self.free_hand else frozenset()))
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
-        """The fewest operators, by search over towers."""
+        """Return the fewest operators to the goal, by search over towers."""
         moves = find_fewest_moves(self.decode(state), self.wanted)
         if moves is None:
             return None

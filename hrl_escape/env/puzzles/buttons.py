@@ -1,9 +1,9 @@
 """The button puzzle (paper, section 5.2): binary buttons that depend on each other along a DAG.
 
-A press turns a button on only if all its parents are on; what else it does is the rule of violations. One button is the
-goal: while it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) is a dead end:
-once a is on, b cannot be turned on any more. A button may open a door between two rooms, and bear a mark
-(`marks.py`).
+A press turns a button on if all its parents are on; otherwise the violation rule decides what happens. One button is
+the goal: while it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) makes dead
+ends possible: once a is on, b can no longer be turned on. A button can open a door between two rooms, and can carry a
+mark (`marks.py`).
 """
 
 from __future__ import annotations
@@ -36,55 +36,56 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 ViolationRule = Literal["ignore", "reset", "fail"]
-"""Effect of a press with unmet parents: none, all buttons go off, or the puzzle is failed and the episode ends."""
+"""Effect of a press with unmet parents: none, all buttons go off, or the puzzle fails and the episode ends."""
 VIOLATION_RULES: tuple[ViolationRule, ...] = get_args(ViolationRule)
 FAILED = 1 << 63
-"""Bit of a state in which the puzzle is failed."""
+"""State bit of a failed puzzle."""
 _FAILED_FACT = "failed"
 MOST_TO_FAIL = 63
-"""Buttons of a puzzle that can be failed: one bit of the word is kept for that."""
+"""Most buttons of a puzzle that can fail: one bit of the word marks the failure."""
 _TRIES = 200
-"""Most graphs drawn in search of one with enough dead ends."""
+"""Most graphs drawn to find one with enough dead ends."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SectionsConfig(HashedSettings):
-    """Ranking of the directions from a room's middle by which its buttons are hung, so that places tell of the graph.
+    """Ranked directions from the middle of the room. Positions of buttons then carry information about the graph.
 
-    The floor is cut into equal sections around the middle. Buttons that must wait for more others hang in sections of
-    higher rank, and within one section further counter-clockwise. The ranking follows no rule, so it can be learned in
-    some rooms and used in others. The places themselves are those of a room without sections.
+    The floor is cut into equal sections around the middle. Buttons with more buttons before them hang in sections of
+    higher rank, and further counter-clockwise within a section. The ranking is random but the same in all rooms, which
+    allows agents to learn it in some rooms and use it in others. The set of positions is that of a room without
+    sections.
     """
-
     _section = "sections"
     count: Annotated[int, Range(0, 64)] = 0
-    """Equal sections around the middle, counter-clockwise from the right (0: places tell nothing of the graph)."""
+    """Equal sections around the middle, counter-clockwise from the right. 0 makes positions independent of the
+    graph."""
     code: Annotated[int, Range(0, 2**63 - 1)] = 0
     """Seed of the ranking."""
 
     @cached_property
     def ranks(self) -> NDArray[np.int64]:
-        """Rank of each section, (sections,)."""
+        """Rank of each section, shape (sections,)."""
         return np.random.default_rng([self.code, 5]).permutation(self.count)
 
     def sort_places(self, places: ArrayLike) -> NDArray[np.int64]:
-        """Numbers of places (n, 2), m from the room's middle, in the order in which the buttons there come."""
+        """Sort indices of places (n, 2), m from the middle of the room, by the order of the buttons there."""
         x, y = np.asarray(places, dtype=np.float64).T
         turns = np.arctan2(y, x) % math.tau / math.tau * self.count
         return np.lexsort((turns, self.ranks[np.minimum(turns.astype(np.int64), self.count - 1)]))
 
     def deal(self, places: ArrayLike, depths: Sequence[int], rng: np.random.Generator) -> NDArray[np.int64]:
-        """Number of the place of each button; buttons that are equally deep are dealt at random."""
+        """Return the index of the place of each button; buttons of equal depth are placed at random."""
         dealt = np.empty(len(depths), dtype=np.int64)
         dealt[np.lexsort((rng.random(len(depths)), np.array(depths)))] = self.sort_places(places)
         return dealt
 
     def compute_likelihood(self, places: ArrayLike, depths: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Probability that buttons were dealt to the places where they hang, under each of several graphs.
+        """Return the probability of the buttons' places under each of several graphs.
 
         Args:
-            places: of the buttons, (buttons, 2).
-            depths: of each button under each graph, (graphs, buttons).
+            places: positions of the buttons, (buttons, 2).
+            depths: depth of each button under each graph, (graphs, buttons).
 
         Returns:
             float64 (graphs,); all 1 without sections.
@@ -97,60 +98,61 @@ class SectionsConfig(HashedSettings):
 
 @dataclasses.dataclass(frozen=True)
 class ButtonsConfig(PuzzleConfig):
-    """Room configuration of the button puzzle."""
+    """Configuration of the button puzzle."""
 
     kind = "buttons"
     _takes_ranges = True
     count: Annotated[int, Range(1, 64)] = 2
-    """Number of buttons, each a panel on a wall."""
+    """Number of buttons, each a panel on a wall. More buttons make the order harder to discover."""
     graph: GraphConfig = GraphConfig()
     """Dependencies between buttons: a button turns on only once its parents are on."""
     on_violation: Literal["ignore", "reset", "fail", "drawn"] = "ignore"
-    """A press with unmet parents is ignored, turns all buttons off, or fails the puzzle, which ends the episode.
-    `drawn`: each room draws one of the three, and nothing shows which before the first mistake."""
+    """Effect of a press with unmet parents: ignored, turns all buttons off, or fails the puzzle and ends the episode.
+    `drawn`: each room samples one of the three, and only a wrong press reveals which."""
     allow_off: bool = False
-    """Pressing a button that is on turns it off."""
+    """If true, pressing a button that is on turns it off."""
     goal: ButtonNumber | None = None
-    """Number of the goal button from 0, before `graph.relabel` (None: last in topological order)."""
+    """Number of the goal button from 0, before `graph.relabel`. By default the last in topological order."""
     buttons: Panels = Panels()
     """Sizes and places of the buttons' panels."""
     dead_ends: Annotated[int, Range(0, 64)] = 0
-    """Locks: pairs of buttons. Once the first is on, the second, which the goal needs, cannot be turned on any more."""
+    """Number of locks, pairs of buttons. Once the first is on, the second, which the goal needs, can no longer be
+    turned on. More locks make more orders of presses fail."""
     doors: Annotated[int, Range(0, 15)] = 0
-    """Number of doorways with a door; each opens once a button of its own is on."""
+    """Number of doorways with a door. Each door opens once a button of its own is on."""
     marks: MarksConfig = MarksConfig()
-    """Symbols on the buttons that say something of the graph."""
+    """Symbols on the buttons that carry information about the graph."""
     sections: SectionsConfig = SectionsConfig()
-    """Directions from the room's middle whose ranking says something of the graph."""
+    """Ranked directions from the middle of the room that carry information about the graph."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         if self.goal is not None and self.goal >= self.count:
             raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
         may_go_off = self.allow_off or self.on_violation in ("reset", "drawn")
         if self.on_violation in ("fail", "drawn") and self.count > MOST_TO_FAIL:
-            raise ConfigError("puzzle.count", self.count, f"at most {MOST_TO_FAIL} where a press may fail the puzzle")
+            raise ConfigError("puzzle.count", self.count, f"at most {MOST_TO_FAIL} if a press can fail the puzzle")
         if self.dead_ends and may_go_off:
-            raise ConfigError("puzzle.dead_ends", self.dead_ends, "0 where buttons can be turned off again")
+            raise ConfigError("puzzle.dead_ends", self.dead_ends, "0 if buttons can be turned off again")
         if self.doors > self.count:
-            raise ConfigError("puzzle.doors", self.doors, f"at most puzzle.count = {self.count}, a button for each")
+            raise ConfigError("puzzle.doors", self.doors, f"at most puzzle.count = {self.count}, one button per door")
         if self.doors and (may_go_off or self.dead_ends):
             raise ConfigError("puzzle.doors", self.doors,
-                              "0 where buttons can be turned off again or locked, for a door might never open again")
+                              "0 if buttons can be turned off again or locked, because a door might never open again")
         if self.marks.kind == "wires" and self.count > len(COLOURS):
-            raise ConfigError("puzzle.count", self.count, f"at most {len(COLOURS)} with wires, a colour for each")
+            raise ConfigError("puzzle.count", self.count, f"at most {len(COLOURS)} with wires, one colour per button")
         if self.sections.count and (self.doors or self.buttons.places != "random"):
-            raise ConfigError("puzzle.sections.count", self.sections.count, "0 where doors or fixed places decide "
+            raise ConfigError("puzzle.sections.count", self.sections.count, "0 if doors or fixed places decide "
                               "where buttons hang")
         super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
-        """Sample the dependency graph, shuffle the buttons' numbers if it is to be relabelled, and choose openers.
+        """Sample the dependency graph, relabel the buttons if configured, and choose the buttons that open doors.
 
         Raises:
-            ConfigError: graphs like that have no place for so many dead ends.
+            ConfigError: graphs of this kind have too few places for that many dead ends.
         """
         for _ in range(_TRIES):
             edges, goal = sample_relabelled(self.graph, self.count, rng, self.goal)
@@ -162,56 +164,56 @@ class ButtonsConfig(PuzzleConfig):
                     shown = sample_relabelled(self.graph, self.count, rng, self.goal)
                 marks = () if self.marks.kind == "none" else self.marks.draw(self.count, *shown, rng)
                 rule = self.on_violation
-                if rule == "drawn":  # last of all, so that nothing else depends on it
+                if rule == "drawn":  # drawn last, which leaves all other draws unchanged
                     rule = VIOLATION_RULES[rng.integers(len(VIOLATION_RULES))]
                 return ButtonsPuzzle(self.count, edges, goal, rule, self.allow_off, locks, doors, marks)
         raise ConfigError("puzzle.dead_ends", self.dead_ends,
-                          "as many as such graphs have pairs of buttons of which neither needs the other")
+                          "at most the number of pairs of buttons in such graphs where neither needs the other")
 
 
 @dataclasses.dataclass(frozen=True)
 class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
-    """A concrete button puzzle. Button i is called `button-<i+1>`."""
+    """A concrete button puzzle. The name of button i is `button-<i+1>`."""
 
     kind, word = "buttons", "button"
     about = "Every button has a lamp. Some lamps come on only after others; which is hidden. One opens the exit."
     on_violation: ViolationRule = "ignore"
-    """Effect of a press with unmet parents, or of a locked button."""
+    """Effect of a press with unmet parents, or of pressing a locked button."""
     allow_off: bool = False
-    """Pressing a button that is on turns it off."""
+    """If true, pressing a button that is on turns it off."""
     locks: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
     """Pairs (a, b): while button a is on, b cannot be turned on."""
     doors: tuple[ButtonNumber, ...] = ()
-    """Button that opens each inner door."""
+    """Index of the button that opens each inner door."""
     marks: tuple[Mark, ...] = ()
-    """Number of the symbol on each button; none where buttons bear no marks."""
+    """Number of the symbol on each button; empty if buttons have no marks."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         super().check()
         if self.locks:
             if self.allow_off or self.on_violation == "reset":
-                raise ConfigError("puzzle.locks", self.locks, "none where buttons can be turned off again")
+                raise ConfigError("puzzle.locks", self.locks, "empty if buttons can be turned off again")
             needed = find_ancestors(self.edge_list, (self.goal,))
-            # in some order nothing that is needed is locked before it is on
+            # raises unless some order turns on every needed button before it is locked
             compute_order(self.count, (*self.edge_list, *((b, a) for a, b in self.locks if b in needed)))
         if len(self.marks) not in (0, self.count):
-            raise ConfigError("puzzle.marks", self.marks, f"none, or one for each of {self.count} buttons")
+            raise ConfigError("puzzle.marks", self.marks, f"empty, or one for each of {self.count} buttons")
         if any(button >= self.count for button in self.doors):
             raise ConfigError("puzzle.doors", self.doors, f"numbers from 0 to {self.count - 1}")
         if self.doors and (self.allow_off or self.on_violation == "reset"):
-            raise ConfigError("puzzle.doors", self.doors, "none where buttons can be turned off again")
+            raise ConfigError("puzzle.doors", self.doors, "empty if buttons can be turned off again")
         if self.on_violation == "fail" and self.count > MOST_TO_FAIL:
-            raise ConfigError("puzzle.count", self.count, f"at most {MOST_TO_FAIL} where a press may fail the puzzle")
+            raise ConfigError("puzzle.count", self.count, f"at most {MOST_TO_FAIL} if a press can fail the puzzle")
 
     @cached_property
     def lock_masks(self) -> tuple[int, ...]:
-        """For each button, the bits of the buttons that lock it."""
+        """Bits of the buttons that lock each button."""
         return mask_parents(self.locks, self.count)
 
     @cached_property
     def failure(self) -> int:
-        """Bit of the states in which the puzzle is failed; 0 where it cannot be."""
+        """State bit of a failed puzzle; 0 if the puzzle cannot fail."""
         return FAILED if self.on_violation == "fail" else 0
 
     @property
@@ -225,20 +227,20 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         return tuple(f"on({self.target_names[button]})" for button in self.doors)
 
     def get_shut(self, state: int) -> int:
-        """Bits of the doors whose button is off."""
+        """Return the bits of the doors whose button is off."""
         return sum(1 << door for door, button in enumerate(self.doors) if not state >> button & 1)
 
     @property
     def has_dead_ends(self) -> bool:
-        """True if a button turned on too early may bar the goal, or a wrong press fails the puzzle."""
+        """True if turning on a button too early can make the goal unreachable, or a wrong press fails the puzzle."""
         return bool(self.locks or self.failure)
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a word of this many bits, of a failed puzzle or not."""
+        """Return whether an untrusted value is an integer with one bit per button, and the failure bit if possible."""
         return super().is_state(state & ~self.failure if type(state) is int else state)
 
     def is_solved(self, state: int) -> bool:
-        """Return whether the goal button is on, and no press has failed the puzzle."""
+        """Return whether the goal button is on and the puzzle has not failed."""
         return super().is_solved(state) and not state & self.failure
 
     def is_failed(self, state: int) -> bool:
@@ -246,12 +248,12 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         return bool(state & self.failure)
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`on(<name>)` for every button that is on, and `failed` where a press has failed the puzzle."""
+        """Return `on(<name>)` for every button that is on, and `failed` if the puzzle has failed."""
         facts = super().get_facts(state)
         return facts | {_FAILED_FACT} if state & self.failure else facts
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Apply presses in index order, up to one that fails the puzzle."""
+        """Apply presses in index order, up to the first that fails the puzzle."""
         for button in contacts.pressed:
             if state & self.failure:
                 break
@@ -268,9 +270,9 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
         return state
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a button, applicable when its parents are on, and neither it nor any that locks it is.
+        """Return the model: one operator per button, applicable while its parents are on and it is off and unlocked.
 
-        Where the puzzle can be failed, none is applicable after that.
+        If the puzzle can fail, no operator is applicable after a failure.
         """
         model = super().make_symbolic_model()
         fact, failed = model.propositions, (_FAILED_FACT,) if self.failure else ()

@@ -1,9 +1,9 @@
-"""Deep Sea (Osband et al. 2019, bsuite): each press dives one row, and only one panel leads to the treasure.
+"""Deep Sea (Osband et al. 2019, bsuite): each press dives one row, and only one sequence reaches the treasure.
 
-On a square of N x N cells, one panel moves a diver down and to the right at a reward of -0.01 / N, the other down and
-to the left; the assignment is drawn for each cell. Moving right in the last cell earns 1 and opens the exit; after N
-presses the episode ends in any case. All presses to the right return 0.99, random ones find the treasure once in 2^N
-episodes. The state is (row, column, treasure found) as a number.
+On a square of N x N cells, one panel moves a diver down and right at a reward of -0.01 / N, the other down and left.
+The assignment is random for each cell. Moving right in the last cell has reward 1 and opens the exit. After N presses
+the episode ends in any case. Always moving right returns 0.99; random presses find the treasure in one of 2^N episodes.
+The state encodes (row, column, treasure found) as an integer.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, 
 from hrl_escape.settings import Range
 
 MOVE_COST = 0.01
-"""Reward lost by moving right N times."""
+"""Total cost of moving right N times."""
 COLUMN_BITS = 6
-"""Bits of a state's column; the row is above them, and the treasure is one bit above the row."""
+"""Bits of a state's column. The row is above them, and the treasure is one bit above the row."""
 _TREASURE = 1 << 2 * COLUMN_BITS
 
 SeaSize = Annotated[int, Range(2, 50)]
@@ -29,31 +29,31 @@ MappingSeed = Annotated[int, Range(0, 2**32 - 1)]
 
 @dataclasses.dataclass(frozen=True)
 class DeepSeaConfig(PuzzleConfig):
-    """Room configuration of Deep Sea."""
+    """Configuration of Deep Sea."""
 
     kind = "deep-sea"
     size: SeaSize = 10
-    """Number of rows, and of columns, of the sea."""
+    """Number of rows and of columns of the sea. Each additional row halves the success rate of random presses."""
     mapping_seed: MappingSeed = 42
-    """Seed of the panels' meanings; bsuite's is 42."""
+    """Seed of the assignment of panels; bsuite uses 42."""
     buttons: Panels = Panels(width=1.5)
     """Sizes and places of the two panels."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DeepSeaPuzzle(Puzzle):
-    """A concrete sea; its panels are called `dive-1` and `dive-2`. Episodes begin in the top left cell, state 0."""
+    """A concrete sea with the panels `dive-1` and `dive-2`. Episodes begin in the top left cell, state 0."""
 
     kind = "deep-sea"
     fixed_names = ("dive-1", "dive-2")
     size: SeaSize = 2
-    """Number of rows, and of columns, of the sea."""
+    """Number of rows and of columns of the sea."""
     mapping_seed: MappingSeed = 42
-    """Seed of the panels' meanings."""
+    """Seed of the assignment of panels."""
 
     @cached_property
     def rights(self) -> tuple[tuple[int, ...], ...]:
-        """Number of the panel that moves right, by row and column."""
+        """Index of the panel that moves right, by row and column."""
         drawn = np.random.RandomState(self.mapping_seed).binomial(1, 0.5, [self.size, self.size])
         return tuple(map(tuple, drawn.tolist()))
 
@@ -61,7 +61,7 @@ class DeepSeaPuzzle(Puzzle):
         return (state & ~_TREASURE) >> COLUMN_BITS, state & (1 << COLUMN_BITS) - 1
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a cell of the sea, or below its last row."""
+        """Return whether an untrusted value is a cell of the sea, or a column below its last row."""
         if type(state) is not int or not 0 <= state < 2 * _TREASURE:
             return False
         row, column = self._read(state)
@@ -69,7 +69,7 @@ class DeepSeaPuzzle(Puzzle):
             state < _TREASURE or (row == self.size and column == self.size - 1))
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Dive a row with each press, in index order."""
+        """Dive one row for each press, in index order."""
         for panel in contacts.pressed:
             row, column = self._read(state)
             if row == self.size:
@@ -83,15 +83,15 @@ class DeepSeaPuzzle(Puzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """Return whether the treasure has been found."""
+        """Return whether the treasure was found."""
         return state >= _TREASURE
 
     def is_failed(self, state: int) -> bool:
-        """Return whether the dive is over without the treasure."""
+        """Return whether the dive ended without the treasure."""
         return state >> COLUMN_BITS == self.size
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """1 for the treasure, and the cost of each move to the right."""
+        """Return 1 for the treasure, minus the cost of each move to the right."""
         reward, here = 0.0, before
         for panel in contacts.pressed:
             row, column = self._read(here)
@@ -101,12 +101,12 @@ class DeepSeaPuzzle(Puzzle):
         return reward + float(self.is_solved(after) and not self.is_solved(before))
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number a row, then one a column: 1 where the diver is, no row once the episode is over."""
+        """Return one number per row, then one per column: 1 at the diver. No row is 1 after the last press."""
         row, column = self._read(state)
         return tuple(float(i == at) for at in (row, column) for i in range(self.size))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """No panel is lit until the treasure is found, then all are."""
+        """Return whether each panel is lit: all once the treasure is found, none before."""
         return (self.is_solved(state),) * 2
 
 

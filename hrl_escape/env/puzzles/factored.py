@@ -1,9 +1,9 @@
-"""Randomly generated factored domains, after Hallak et al. (2015): factors with values, and a panel that turns each.
+"""Randomly generated factored domains, after Hallak et al. (2015): factors with values, and one panel per factor.
 
-A press turns its factor's value by a permutation that depends on the values of the factor's parents; with probability
-1 - `success` it does nothing. The exit opens while every factor has its goal. Permutations can be undone, so no press
-leads to a dead end; the goal is drawn from the states furthest from the start, found by enumeration, so that every
-drawn domain is solvable and its optimum is known. Results published for other generators do not carry over.
+A press changes its factor's value by a permutation that depends on the values of the factor's parents; with probability
+1 - `success` it has no effect. The exit opens while every factor has its goal value. Permutations can be undone, which
+rules out dead ends. Enumeration finds the states furthest from the start, and the goal is drawn from them. Every domain
+is therefore solvable, with a known optimum. Results published for other generators do not transfer.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 MOST_ENUMERATED = 4096
-"""Most states of a domain: arity to the power of the number of factors."""
+"""Largest number of states of a domain: arity to the power of the number of factors."""
 
 Arity = Annotated[int, Range(2, 8)]
 FactorNumber = Annotated[int, Range(0, 11)]
@@ -31,29 +31,29 @@ FactorNumber = Annotated[int, Range(0, 11)]
 
 @dataclasses.dataclass(frozen=True)
 class FactoredConfig(PuzzleConfig):
-    """Room configuration of a factored domain; the instance seed draws parents, permutations and goal."""
+    """Configuration of a factored domain; the instance seed draws parents, permutations and goal."""
 
     kind = "factored"
     count: Annotated[int, Range(1, 12)] = 5
     """Number of factors, each with a panel."""
     arity: Arity = 3
-    """Number of values of a factor."""
+    """Number of values of a factor. More values make goals further away."""
     max_parents: Annotated[int, Range(0, 3)] = 2
-    """Most parents of a factor, whose values decide what a press does to it."""
+    """Most parents of a factor. More parents make the effect of a press depend on more values."""
     success: Success = 0.9
-    """Probability that a press has its effect; otherwise it does nothing."""
+    """Probability that a press has its effect; otherwise it has none."""
     buttons: Panels = Panels(width=0.8)
     """Sizes and places of the panels."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         super().check()
         if self.arity**self.count > MOST_ENUMERATED:
             raise ConfigError("puzzle.count", self.count,
-                              f"arity^count at most {MOST_ENUMERATED}, so that all are visited")
+                              f"arity^count at most {MOST_ENUMERATED}, the limit of the enumeration")
 
     def make_puzzle(self, rng: np.random.Generator) -> FactoredPuzzle:
-        """Draw domains until the goal is at least as far as the number of factors, then one of the furthest goals."""
+        """Sample domains until some goal is at least `count` presses away, then one of the furthest goals."""
         while True:
             parents = tuple(self._draw_parents(factor, rng) for factor in range(self.count))
             turns = tuple(tuple(int(value) for _ in range(self.arity ** len(others))
@@ -72,7 +72,7 @@ class FactoredConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class FactoredPuzzle(Graphed, Modelled, Puzzle):
-    """A concrete domain. Factor i, whose value is the digit of weight arity^i of a state, is called `factor-<i+1>`."""
+    """A concrete domain. Factor i is named `factor-<i+1>`; its value is the digit of weight arity^i of the state."""
 
     kind = "factored"
     count: Annotated[int, Range(1, 12)] = 1
@@ -80,16 +80,16 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
     arity: Arity = 2
     """Number of values of a factor."""
     parents: tuple[tuple[FactorNumber, ...], ...] = ((),)
-    """For each factor, its parents: the factors that decide what a press does."""
+    """Parents of each factor: the factors that decide the effect of a press."""
     turns: tuple[tuple[Annotated[int, Range(0, 7)], ...], ...] = ((1, 0),)
-    """For each factor, its value after a press: for each setting of its parents, the first of weight 1, one a value."""
+    """Value of each factor after a press, for each setting of its parents (the first has weight 1) and each value."""
     goal: Annotated[int, Range(0, MOST_ENUMERATED - 1)] = 1
-    """State in which the exit is open."""
+    """State that opens the exit."""
     success: Success = 1.0
     """Probability that a press has its effect."""
 
     def check(self) -> None:
-        """Check that the tables fit, that presses can be undone, and that the goal is a state."""
+        """Check the tables, that presses can be undone, and the goal."""
         if self.arity**self.count > MOST_ENUMERATED:
             raise ConfigError("puzzle.count", self.count, f"arity^count at most {MOST_ENUMERATED}")
         if self.goal >= self.arity**self.count:
@@ -97,13 +97,13 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         if len(self.parents) != self.count or any(
                 other >= self.count or others.count(other) > 1 or other == factor
                 for factor, others in enumerate(self.parents) for other in others):
-            raise ConfigError("puzzle.parents", self.parents, f"other factors, each once, for each of {self.count}")
+            raise ConfigError("puzzle.parents", self.parents, f"distinct other factors for each of {self.count}")
         if len(self.turns) != self.count or any(
                 len(turns) != self.arity ** (len(others) + 1) or any(
                     sorted(turns[at : at + self.arity]) != list(range(self.arity))
                     for at in range(0, len(turns), self.arity))
                 for others, turns in zip(self.parents, self.turns, strict=False)):
-            raise ConfigError("puzzle.turns", self.turns, "a permutation for each setting of a factor's parents")
+            raise ConfigError("puzzle.turns", self.turns, "one permutation for each setting of a factor's parents")
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -112,20 +112,20 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
-        """Dependencies (parent, child): the parent's value decides what a press of the child does."""
+        """Dependencies (parent, child): the value of the parent decides the effect of pressing the child."""
         return tuple((other, factor) for factor, others in enumerate(self.parents) for other in others)
 
     def decode(self, state: int) -> tuple[int, ...]:
-        """Value of each factor."""
+        """Return the value of each factor."""
         return tuple(state // self.arity**factor % self.arity for factor in range(self.count))
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a state from which presses lead to the goal."""
+        """Return whether an untrusted value is a state that can reach the goal."""
         return type(state) is int and state in self.distances
 
     @cached_property
     def distances(self) -> dict[int, int]:
-        """Fewest presses from state 0 to each state that presses lead to, where each has its effect."""
+        """Fewest effective presses from state 0 to each reachable state."""
         distances, queue = {0: 0}, [0]
         for state in queue:
             for factor in range(self.count):
@@ -136,14 +136,14 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         return distances
 
     def turn(self, state: int, factor: int) -> int:
-        """State after a successful press of a factor."""
+        """Return the state after an effective press of a factor."""
         values = self.decode(state)
         setting = sum(values[other] * self.arity**place for place, other in enumerate(self.parents[factor]))
         then = self.turns[factor][setting * self.arity + values[factor]]
         return state + (then - values[factor]) * self.arity**factor
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Turn the pressed factors in index order; one chance decides for all presses of a primitive."""
+        """Apply presses in index order; one random number decides for all presses of a primitive."""
         if contacts.uniform < self.success:
             for factor in contacts.pressed:
                 state = self.turn(state, factor)
@@ -154,23 +154,23 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         return state == self.goal
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """For each factor one number a value, 1 for its own; then the same of the goal."""
+        """Return a one-hot vector per factor for its value, then the same for the goal."""
         return tuple(float(value == own) for word in (state, self.goal) for own in self.decode(word)
                      for value in range(self.arity))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Return for each factor whether it has its goal value."""
+        """Return whether each factor has its goal value."""
         return tuple(own == goal for own, goal in zip(self.decode(state), self.decode(self.goal), strict=True))
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`at(factor-i,value)` for every factor."""
+        """Return `at(factor-i,value)` for every factor."""
         return frozenset(self._name(factor, value) for factor, value in enumerate(self.decode(state)))
 
     def _name(self, factor: int, value: int) -> str:
         return f"at({self.target_names[factor]},{value})"
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a factor, with a conditional effect for each setting of its parents and each value it turns."""
+        """Return the model: one operator per factor, with a conditional effect per setting of parents and value."""
         operators = []
         for factor, name in enumerate(self.target_names):
             effects = []

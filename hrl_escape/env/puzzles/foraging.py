@@ -1,8 +1,8 @@
-"""Foraging (Singh, Lewis, Barto and Sorg 2010): eat a worm at the end of a corridor; another appears in another one.
+"""Foraging (Singh, Lewis, Barto and Sorg 2010): eat a worm at the end of a corridor; the next appears in another one.
 
-The ends of the corridors are pads on the floor; a worm is eaten by gripping on its pad, earns 1, and the next appears
-at either of the other ends with the same probability. The published task never ends; here the exit opens after a number
-of worms. The state is three times the number of worms eaten plus the number of the corridor with the worm.
+The ends of the corridors are pads on the floor. Gripping on the pad of a worm eats it, with reward 1, and the next worm
+appears at one of the other ends with equal probability. The published task never ends; here the exit opens after a
+number of worms. The state is three times the number of eaten worms plus the index of the corridor with the worm.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ Worms = Annotated[int, Range(1, 100)]
 
 @dataclasses.dataclass(frozen=True)
 class ForagingConfig(PuzzleConfig):
-    """Room configuration of Foraging, with a pad at the end of each corridor."""
+    """Configuration of Foraging, with a pad at the end of each corridor."""
 
     kind = "foraging"
     worms: Worms = 4
-    """Worms to eat before the exit opens."""
+    """Number of worms to eat before the exit opens."""
     ends: Pads = Pads()
     """Size and places of the corridors' ends."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ForagingPuzzle(Modelled, Puzzle):
-    """Concrete worms; the ends of the corridors are called `corridor-1` to `corridor-3`."""
+    """Concrete worms. The ends of the corridors are named `corridor-1` to `corridor-3`."""
 
     kind = "foraging"
     fixed_names = tuple(f"corridor-{i + 1}" for i in range(CORRIDOR_COUNT))
     are_pads = True
     worms: Worms = 4
-    """Worms to eat before the exit opens."""
+    """Number of worms to eat before the exit opens."""
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """One half: the next worm appears at either of the two other ends."""
+        """One half: the next worm appears at either of the other two ends."""
         return (0.5,)
 
     def list_starts(self) -> tuple[int, ...]:
-        """The first worm is in any corridor."""
+        """List the initial states: the first worm in any corridor."""
         return tuple(range(CORRIDOR_COUNT))
 
     def is_state(self, state: Any) -> bool:
@@ -57,39 +57,39 @@ class ForagingPuzzle(Modelled, Puzzle):
         return type(state) is int and 0 <= state < CORRIDOR_COUNT * (self.worms + 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Eat the worm if a grip touches its pad; the next worm appears at one of the two other ends."""
+        """Eat the worm if a grip touches its pad; the next worm appears at one of the other two ends."""
         eaten, place = divmod(state, CORRIDOR_COUNT)
         if contacts.grip <= 0 or place not in contacts.touching or eaten == self.worms:
             return state
         return (eaten + 1) * CORRIDOR_COUNT + (place + (1 if contacts.uniform < 0.5 else 2)) % CORRIDOR_COUNT
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """Reward of 1 for a worm that was eaten."""
+        """Return 1 for an eaten worm, otherwise 0."""
         return float(after != before)
 
     def is_solved(self, state: int) -> bool:
-        """Return whether all worms have been eaten."""
+        """Return whether all worms were eaten."""
         return state // CORRIDOR_COUNT == self.worms
 
     def compute_progress(self, state: int) -> float:
-        """Share in [0, 1] of the worms that have been eaten."""
+        """Return the fraction, in [0, 1], of the worms that were eaten."""
         return state // CORRIDOR_COUNT / self.worms
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number a corridor, 1 for the worm's, and the share of the worms eaten."""
+        """Return one number per corridor, 1 for the worm's, and the fraction of worms that were eaten."""
         return (*(float(state % CORRIDOR_COUNT == i) for i in range(CORRIDOR_COUNT)), self.compute_progress(state))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """The corridor with the worm."""
+        """Return whether each corridor is lit: the one with the worm."""
         return tuple(state % CORRIDOR_COUNT == i for i in range(CORRIDOR_COUNT))
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """Facts `worm(corridor-i)`, the corridor with the worm, and `eaten(number)`."""
+        """Return `worm(corridor-i)` for the corridor with the worm, and `eaten(number)`."""
         eaten, place = divmod(state, CORRIDOR_COUNT)
         return frozenset({f"worm({self.target_names[place]})", f"eaten({eaten})"})
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """For each corridor: eat there, upon which the next worm appears in the corridor after it."""
+        """Return the model: one operator per corridor, after which the next worm appears in the following corridor."""
         worm = [frozenset({f"worm({name})"}) for name in self.target_names]
         eaten = [frozenset({f"eaten({number})"}) for number in range(self.worms + 1)]
         counts = tuple(Effect(before, add=after, delete=before) for before, after in pairwise(eaten))

@@ -1,8 +1,7 @@
 """Generators of button-dependency graphs: every DAG family of the room configuration.
 
-Pure functions of a generator; a graph is a tuple of (parent, child) index pairs. The
-`larg-2019` family reproduces the graphs of the published 2019 code, Python 2's
-`random` included.
+All functions are pure given a random generator. A graph is a tuple of (parent, child) index pairs. The `larg-2019`
+family reproduces the graphs of the published 2019 code, with Python 2's `random`.
 """
 
 from __future__ import annotations
@@ -27,34 +26,35 @@ ButtonNumber = Annotated[int, Range(0, 63)]
 
 @dataclasses.dataclass(frozen=True)
 class GraphConfig(HashedSettings):
-    """Directed acyclic graph of dependencies between buttons."""
+    """Directed acyclic graph of the dependencies between buttons."""
 
     _section = "graph"
     _takes_ranges = True
     kind: GraphKind = "chain"
-    """Family of graphs; 'edges' takes them from `edges`."""
+    """Family of graphs; 'edges' uses the pairs in `edges`."""
     max_parents: Annotated[int, Range(1, 63)] = 1
-    """Most parents of a button, the paper's complexity (layered, random, larg-2019)."""
+    """Most parents of a button: the complexity of the paper (layered, random, larg-2019). More parents make a button
+    wait for more others."""
     edge_probability: Annotated[float, Range(0, 1)] = 0.5
-    """Chance of each possible edge (random)."""
+    """Probability of each possible edge (random)."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
-    """Seed of the graph alone (larg-2019; None: the instance's seed)."""
+    """Seed of the graph alone (larg-2019). By default the seed of the instance."""
     edges: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
     """Explicit (parent, child) pairs of button numbers from 0."""
     relabel: bool = True
-    """Shuffle the numbers of a generated graph's buttons, so that names do not reveal the order."""
+    """If true, the buttons of a generated graph are numbered at random, and names do not reveal the order."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check that only the family 'edges' has edges."""
         if self.edges and self.kind != "edges":
             raise ConfigError("graph.edges", self.edges, "empty unless graph.kind is 'edges'")
 
 
 def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
-    """Return a topological order of `count` nodes; among the free nodes, the smallest number comes first.
+    """Return a topological order of `count` nodes. Among free nodes, the smallest number comes first.
 
     Raises:
-        ConfigError: an edge names no node, or the edges form a cycle (which is shown).
+        ConfigError: an edge has an unknown node, or the edges form a cycle, which the message shows.
     """
     parents: list[set[int]] = [set() for _ in range(count)]
     for parent, child in edges:
@@ -73,7 +73,7 @@ def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
 
 
 def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> set[int]:
-    """Targets that must have been lit for the goals, the goals included; edges are (parent, child) pairs."""
+    """Return the targets that must have been lit for the goals, goals included; edges are (parent, child) pairs."""
     every, ancestors, before = set(edges), set(goals), 0
     while len(ancestors) > before:
         before = len(ancestors)
@@ -82,7 +82,7 @@ def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> se
 
 
 def mask_parents(edges: Iterable[tuple[int, int]], count: int) -> tuple[int, ...]:
-    """For each of `count` nodes the bits of its parents; edges are (parent, child) pairs."""
+    """Return the bits of the parents of each of `count` nodes; edges are (parent, child) pairs."""
     masks = [0] * count
     for parent, child in edges:
         masks[child] |= 1 << parent
@@ -90,13 +90,14 @@ def mask_parents(edges: Iterable[tuple[int, int]], count: int) -> tuple[int, ...
 
 
 def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
-    """Sample the edges of a DAG over `count` buttons; in generated ones, parents have smaller numbers.
+    """Sample the edges of a DAG over `count` buttons. In generated graphs, parents have smaller numbers than children.
 
-    `sample_relabelled` shuffles these numbers afterwards.
+    `sample_relabelled` permutes these numbers afterwards.
 
-    The families: `chain` 0 -> 1 -> ...; `tree` one random earlier parent each; `layered` layers of random width, each
-    button with 1 to max_parents parents in the layer before (the published generator's shape); `random` every earlier
-    button a parent with `edge_probability`, at most max_parents; `larg-2019` the published graphs; `edges`.
+    The families: `chain` 0 -> 1 -> ...; `tree` has one random earlier parent per button; `layered` has layers of random
+    width, each button with 1 to max_parents parents in the layer before (the shape of the published generator);
+    `random` makes every earlier button a parent with `edge_probability`, at most max_parents; `larg-2019` reproduces
+    the published graphs; `edges` uses given pairs.
     """
     if config.kind == "edges":
         return config.edges
@@ -121,9 +122,10 @@ def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> E
 
 def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator, goal: int | None = None
                       ) -> tuple[Edges, int]:
-    """Sample a graph and its goal, then shuffle its numbers if it is a generated one that is to be relabelled.
+    """Sample a graph and its goal, then permute its numbers if it is a generated graph with `relabel`.
 
-    Without a given goal (a number before shuffling), it is the last in topological order. Returns edges and goal.
+    The default goal is the last node in topological order. A given goal is a number before the permutation. Returns
+    edges and goal.
     """
     edges = sample_graph(config, count, rng)
     last: int = compute_order(count, edges)[-1] if goal is None else goal
@@ -134,10 +136,10 @@ def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator,
 
 
 def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.Generator) -> Edges:
-    """Sample up to `most` pairs (a, b) of nodes of which the first locks the second: dead ends that can be avoided.
+    """Sample up to `most` pairs (a, b) of nodes where a locks b: dead ends that can be avoided.
 
-    The goal needs b, neither of the two needs the other, and an order drawn first puts every b before its a.
-    Fewer are sampled if the graph has too few.
+    The goal needs b, and neither of the two needs the other. An order drawn first has every b before its a, and some
+    order of presses therefore reaches the goal. Fewer pairs are sampled if the graph has fewer.
     """
     label = rng.permutation(count).tolist()
     order = compute_order(count, tuple((label[parent], label[child]) for parent, child in edges))
@@ -152,11 +154,10 @@ def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.
 def sample_larg_graph(count: int, seed: int, max_parents: int) -> Edges:
     """Reproduce the button graph that the published 2019 code draws for a seed.
 
-    It seeds Python 2's `random` and draws layers of `randint(1, min(4, left)//2 + 1)`
-    nodes, each with `randint(1, min(|previous layer|, max_parents))` parents drawn by
-    `random.sample`, again and again until some button has at least `max_parents - 1`
-    parents (as far as such layers can have them). Python 2 draws both as
-    `int(random() * n)`; the Mersenne Twister behind `random()` is the same in Python 3.
+    That code seeds Python 2's `random` and draws layers of `randint(1, min(4, left)//2 + 1)` nodes. Each node has
+    `randint(1, min(|previous layer|, max_parents))` parents from `random.sample`. It repeats the draw until some button
+    has at least `max_parents - 1` parents, as far as such layers allow. Python 2 computes both draws as
+    `int(random() * n)`; Python 3 has the same Mersenne Twister behind `random()`.
     """
     uniform = random.Random(seed).random
     wanted = min(max_parents - 1, 3, count - 1)
@@ -172,7 +173,7 @@ def _draw_layers(count: int, max_parents: int, draw: Callable[[int], int],
                  choose: Callable[[list[int], int], Iterable[int]]) -> Edges:
     """Draw layers of nodes whose parents are in the layer before.
 
-    `draw` draws a number from 1 up to another, `choose` some of the nodes above.
+    `draw(n)` draws a number from 1 to n; `choose(layer, n)` draws n nodes of the layer before.
     """
     edges: list[tuple[int, int]] = []
     above: list[int] = []

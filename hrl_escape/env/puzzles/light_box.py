@@ -1,8 +1,8 @@
-"""LightBox (Vigorito and Barto 2010): lights that depend on each other, where a mistake costs all of them.
+"""LightBox (Vigorito and Barto 2010): lights that depend on each other, where a mistake turns all of them off.
 
-A press turns a light on if all its parents are on; otherwise every light goes off. A press of a light that is on turns
-it off, and all that depends on it. With probability 1 - `success` a press does nothing. The published graph has twenty
-lights; with `graph.kind="random"` it is one of the randomly generated factored domains after Menashe and Stone (2015).
+A press turns a light on if all its parents are on; otherwise every light goes off. Pressing a light that is on turns it
+off with all lights that depend on it. With probability 1 - `success` a press has no effect. The published graph has
+twenty lights. `graph.kind="random"` gives the randomly generated factored domains of Menashe and Stone (2015).
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ LightCount = Annotated[int, Range(1, 63)]
 
 @dataclasses.dataclass(frozen=True)
 class LightBoxConfig(PuzzleConfig):
-    """Room configuration of LightBox, one wall panel a light."""
+    """Configuration of LightBox, one wall panel per light."""
 
     kind = "light-box"
     count: LightCount = 20
     """Number of lights, each with a panel."""
     graph: GraphConfig = GraphConfig(kind="edges", edges=LIGHT_BOX)
-    """Dependencies between lights; those of the published box by default."""
+    """Dependencies between lights; by default the graph of the published box."""
     success: Success = 0.9
-    """Probability that a press has its effect; otherwise it does nothing."""
+    """Probability that a press has its effect; otherwise it has none."""
     lights: Panels = Panels(width=0.8)
     """Sizes and places of the lights' panels."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
         super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> LightBoxPuzzle:
-        """Sample the dependencies, then shuffle the lights' numbers if a generated graph is to be relabelled."""
+        """Sample the dependencies, and relabel the lights of a generated graph if configured."""
         edges, goal = sample_relabelled(self.graph, self.count, rng)
         return LightBoxPuzzle(self.count, edges, goal, self.success)
 
 
 @dataclasses.dataclass(frozen=True)
 class LightBoxPuzzle(GraphPuzzle):
-    """A concrete box. Light i is called `light-<i+1>`."""
+    """A concrete box. The name of light i is `light-<i+1>`."""
 
     kind, word = "light-box", "light"
     count: LightCount = 1
@@ -64,7 +64,7 @@ class LightBoxPuzzle(GraphPuzzle):
 
     @cached_property
     def family_masks(self) -> tuple[int, ...]:
-        """For each light, the bits of itself and of all that depends on it."""
+        """Bits of each light and of all lights that depend on it."""
         masks = [1 << light for light in range(self.count)]
         for light in reversed(compute_order(self.count, self.edge_list)):
             for parent, child in self.edge_list:
@@ -73,7 +73,7 @@ class LightBoxPuzzle(GraphPuzzle):
         return tuple(masks)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Apply presses in index order; one chance decides for all presses of a primitive."""
+        """Apply presses in index order; one random number decides for all presses of a primitive."""
         if contacts.uniform >= self.success:
             return state
         for light in contacts.pressed:

@@ -1,9 +1,9 @@
 """Lights Out on the walls: a press flips a light and its neighbours on a board of rows and columns.
 
-The exit opens while the board shows the goal pattern. The tasks are those of OGBench's puzzle environments (Park et
-al. 2025), whose presses do the same. Presses commute and two of one light cancel, so the fewest presses are the
-smallest solution of a linear system over GF(2) (Anderson and Feil 1998). The state is a word; light i is bit i, row by
-row.
+The exit opens while the board shows the goal pattern. The tasks are those in OGBench's puzzle environments (Park et al.
+2025), whose presses have the same effect. Presses commute, and two presses of one light cancel. The fewest presses are
+therefore the smallest solution of a linear system over GF(2) (Anderson and Feil 1998). The state is a word whose bit i
+is light i, row by row.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ TASKS: dict[tuple[int, int], tuple[tuple[str, str], ...]] = {
              ("010101 101010 010101 101010", "100001 000000 000000 100001"),
              ("000000 000000 000000 000000", "100001 011110 011110 100001")),
 }  # fmt: skip
-"""(rows, columns) -> pairs of patterns (start, goal), a row a word."""
+"""(rows, columns) -> pairs of patterns (start, goal), one word per row."""
 
 
 @dataclasses.dataclass(frozen=True)
 class LightsOutConfig(PuzzleConfig):
-    """Room configuration of Lights Out."""
+    """Configuration of Lights Out."""
 
     kind = "lights-out"
     rows: Annotated[int, Range(1, 6)] = 3
@@ -52,25 +52,27 @@ class LightsOutConfig(PuzzleConfig):
     columns: Annotated[int, Range(1, 6)] = 3
     """Number of columns of the board."""
     task: Annotated[int, Range(1, 5)] | None = None
-    """OGBench's task of this number, for 3 x 3, 4 x 4, 4 x 5 and 4 x 6 (None: from all off to all on, or scrambled)."""
+    """Number of a task of OGBench, for 3 x 3, 4 x 4, 4 x 5 and 4 x 6. By default from all off to all on, or
+    scrambled."""
     scramble: Annotated[int, Range(0, 36)] = 0
-    """Number of different presses, drawn by the instance seed, from all off to the goal (0: all on is the goal)."""
+    """Number of different presses, drawn by the instance seed, from all off to the goal. More presses make a harder
+    goal. 0: the goal is all on."""
     buttons: Panels = Panels(width=0.8)
     """Sizes and places of the lights' panels."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         if self.task is not None and (self.rows, self.columns) not in TASKS:
             sizes = ", ".join(f"{rows} x {columns}" for rows, columns in TASKS)
             raise ConfigError("puzzle.task", self.task, f"a board of {sizes}")
         if self.task is not None and self.scramble:
-            raise ConfigError("puzzle.scramble", self.scramble, "0 where puzzle.task is given")
+            raise ConfigError("puzzle.scramble", self.scramble, "0 if puzzle.task is given")
         if self.scramble > self.rows * self.columns:
             raise ConfigError("puzzle.scramble", self.scramble, f"at most {self.rows * self.columns} presses")
         super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> LightsOutPuzzle:
-        """Draw the scrambling presses, if any."""
+        """Sample the scrambling presses, if any."""
         count = self.rows * self.columns
         start, goal = 0, (1 << count) - 1
         if self.task is not None:
@@ -84,43 +86,43 @@ class LightsOutConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class LightsOutPuzzle(Graphed, BitPuzzle):
-    """A concrete board. Light i, row by row, is called `light-<i+1>`."""
+    """A concrete board. The name of light i, row by row, is `light-<i+1>`."""
 
     kind, word = "lights-out", "light"
-    about = "A press turns several lights of a board over. The exit opens once the lights are as wanted."
+    about = "A press flips several lights of a board. The exit opens once the lights show a goal pattern."
     count: Annotated[int, Range(1, 36)] = 1
     """Number of lights on the board, rows times columns."""
     columns: Annotated[int, Range(1, 36)] = 1
-    """Lights in a row."""
+    """Number of lights in a row."""
     start: Annotated[int, Range(0, 2**36 - 1)] = 0
-    """Word of the start pattern."""
+    """Start pattern, as a word."""
     goal: Annotated[int, Range(0, 2**36 - 1)] = 1
-    """Word of the goal pattern, which opens the exit."""
+    """Goal pattern, as a word; it opens the exit."""
 
     def check(self) -> None:
-        """Check that the board is a rectangle, and the goal within reach."""
+        """Check that the board is a rectangle and that the goal is reachable."""
         if self.count % self.columns:
             raise ConfigError("puzzle.columns", self.columns, f"a divisor of puzzle.count = {self.count}")
         for name in ("start", "goal"):
             if getattr(self, name) >> self.count:
                 raise ConfigError(f"puzzle.{name}", getattr(self, name), f"below 2^{self.count}")
         if self._find_due(self.start) is None:
-            raise ConfigError("puzzle.goal", self.goal, "a pattern that presses can lead to from puzzle.start")
+            raise ConfigError("puzzle.goal", self.goal, "a pattern that presses can reach from puzzle.start")
 
     def _find_due(self, state: int) -> int | None:
         return find_fewest_presses(self.count, self.columns, state ^ self.goal)
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Numbers of the lights that are on in the goal."""
+        """Indices of the lights that are on in the goal."""
         return tuple(i for i in range(self.count) if self.goal >> i & 1)
 
     def make_state(self) -> int:
-        """Word of the start pattern, in which episodes begin."""
+        """Return the start pattern."""
         return self.start
 
     def is_state(self, state: object) -> bool:
-        """Return whether an untrusted value is a pattern from which the goal can be reached."""
+        """Return whether an untrusted value is a pattern that can reach the goal."""
         return super().is_state(state) and isinstance(state, int) and self._find_due(state) is not None
 
     def update(self, state: int, contacts: Contacts) -> int:
@@ -134,31 +136,31 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         return state == self.goal
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """The lights, then the goal's: 1 on, 0 off."""
+        """Return the lights, then the goal's lights: 1 on, 0 off."""
         return tuple(float(word >> i & 1) for word in (state, self.goal) for i in range(self.count))
 
     @property
     def light_numbers(self) -> tuple[int, ...]:
-        """The lights come first."""
+        """Index of each light among the observation numbers."""
         return tuple(range(self.count))
 
     def describe(self, state: int) -> tuple[str, ...]:
-        """The lights that are on in the goal."""
+        """Return a sentence with the lights that are on in the goal."""
         wanted = [self.target_names[i] for i in self.goal_targets]
         return (f"Wanted on: {join_words(wanted) or 'none'}; the others off.",)
 
     def compute_progress(self, state: int) -> float:
-        """Share in [0, 1] of the lights that are as in the goal."""
+        """Return the fraction, in [0, 1], of the lights that equal the goal's."""
         return 1.0 - (state ^ self.goal).bit_count() / self.count
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`settled(light-i)` for every light that the shortest solution from here does not press."""
+        """Return `settled(light-i)` for every light that the shortest solution from this state does not press."""
         due = self._find_due(state)
         due = (1 << self.count) - 1 if due is None else due
         return frozenset(f"settled({name})" for i, name in enumerate(self.target_names) if not due >> i & 1)
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator per light, applicable while the shortest solution presses it; other presses are useless."""
+        """Return the model: one operator per light, applicable while the shortest solution presses it."""
         fact = [f"settled({name})" for name in self.target_names]
         operators = (Operator(f"press-{name}", name, "press", forbidden=frozenset({fact[i]}), add=frozenset({fact[i]}))
                      for i, name in enumerate(self.target_names))
@@ -167,7 +169,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
 
 @lru_cache
 def list_flips(count: int, columns: int) -> tuple[int, ...]:
-    """For each light, the word of the lights that a press of it flips."""
+    """Return for each light the word of the lights that its press flips."""
     flips = []
     for light in range(count):
         row, column = divmod(light, columns)
@@ -178,9 +180,9 @@ def list_flips(count: int, columns: int) -> tuple[int, ...]:
 
 @lru_cache
 def _eliminate(count: int, columns: int) -> tuple[tuple[tuple[int, int, int], ...], tuple[int, ...]]:
-    """Gauss-Jordan elimination of the presses' flips.
+    """Gauss-Jordan elimination of the effects of presses.
 
-    Returns rows (pivot bit, flips, presses that make them), and a basis of the presses that together flip nothing.
+    Returns rows (pivot bit, flips, presses with that effect), and a basis of the sets of presses without effect.
     """
     rows: list[tuple[int, int, int]] = []
     quiet = []
@@ -201,9 +203,9 @@ def _eliminate(count: int, columns: int) -> tuple[tuple[tuple[int, int, int], ..
 
 @lru_cache(maxsize=65_536)
 def find_fewest_presses(count: int, columns: int, flips: int) -> int | None:
-    """Smallest set of presses that flips exactly these lights, as a word; None if there is none.
+    """Return the smallest set of presses that flips exactly the lights in `flips`, as a word, or None if there is none.
 
-    Among the smallest sets, the one that is least as a number: after one of its presses, the rest is the answer.
+    Among the smallest sets it returns the least number. After one of its presses, the answer is the remaining presses.
     """
     rows, quiet = _eliminate(count, columns)
     presses = 0

@@ -1,7 +1,7 @@
 """Maps of a puzzle's grid world: walls, doors, things in cells, start and goal.
 
-A map is rows of characters from the top, one a cell: `#` wall, `d` door, `D` locked door, `k` key, `b` ball, `G` goal,
-`>`, `^`, `<` or `v` the start and its heading, anything else floor. Cells are numbered row by row.
+A map is rows of characters from the top, one per cell: `#` wall, `d` door, `D` locked door, `k` key, `b` ball, `G`
+goal, `>`, `^`, `<` or `v` the start and its heading, anything else floor. Cells are numbered row by row.
 """
 
 from __future__ import annotations
@@ -13,32 +13,32 @@ from functools import cached_property
 from hrl_escape.errors import ConfigError
 
 HEADINGS = ">^<v"
-"""Characters of a start by quarter turns from +x, counter-clockwise."""
+"""Characters of a start, by quarter turns counter-clockwise from +x."""
 
 
 class GridMap:
-    """A map and its derived cells, numbered row by row.
+    """A map with derived sets of cells, numbered row by row.
 
     Attributes:
-        columns: cells in a row.
+        columns: number of cells in a row.
         doors: cells of the doors.
-        things: cells in which things lie at first: keys, then balls.
+        things: initial cells of the things: keys, then balls.
         keys: number of keys.
-        floor: cells that are empty at first.
+        floor: initially empty cells.
         start: cell of the start.
-        heading: of the start, in quarter turns from +x.
-        goal: cell of the goal; None where there is none.
-        blockable: cells that can be blocked: those of doors and, on a map with things, all others that are no walls.
+        heading: initial heading, in quarter turns from +x.
+        goal: cell of the goal, or None if there is none.
+        blockable: cells that can be blocked: doors and, on a map with things, all other cells that are not walls.
 
     Raises:
-        ConfigError: rows of different lengths, or more or less than one start.
+        ConfigError: rows differ in length, or there is not exactly one start.
     """
 
     def __init__(self, rows: tuple[str, ...]) -> None:
         self.rows = rows
         text = self._text = "".join(rows)
         if len({len(row) for row in rows}) != 1 or sum(text.count(start) for start in HEADINGS) != 1:
-            raise ConfigError("puzzle.rows", rows, "rows of one length, with one start among them")
+            raise ConfigError("puzzle.rows", rows, "rows of equal length with exactly one start")
         self.columns = len(rows[0])
         self.doors, self.floor, self._cells = self._find("dD"), self._find(" "), self._find(set(text) - {"#"})
         self.things, self.keys = (*self._find("k"), *self._find("b")), text.count("k")
@@ -50,11 +50,11 @@ class GridMap:
         return tuple(cell for cell, character in enumerate(self._text) if character in characters)
 
     def is_locked(self, door: int) -> bool:
-        """Return whether a door is locked at first."""
+        """Return whether a door is initially locked."""
         return self._text[self.doors[door]] == "D"
 
     def _list_neighbours(self, cell: int) -> list[int]:
-        """Neighbours of a cell that are no walls."""
+        """Neighbours of a cell that are not walls."""
         row, column = divmod(cell, self.columns)
         beside = ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
         return [i * self.columns + j for i, j in beside
@@ -62,7 +62,7 @@ class GridMap:
 
     @cached_property
     def bottlenecks(self) -> frozenset[int]:
-        """Cells in which a thing would cut off other cells, or stand in front of a door."""
+        """Cells where a thing would cut off other cells, or block the front of a door."""
         cells, found = self._cells, set[int]()
         for cell in cells:
             others = [other for other in cells if other != cell]
@@ -77,7 +77,7 @@ class GridMap:
 
     @cached_property
     def _ways(self) -> dict[int, tuple[int, ...]]:
-        """For each reachable cell, the fewest doors on a way from the start, in order; things are ignored."""
+        """Fewest doors, in order, on a way from the start to each reachable cell. Things are ignored."""
         ways: dict[int, tuple[int, ...]] = {}
         queue: list[tuple[int, int, int, tuple[int, ...]]] = [(0, 0, self.start, ())]
         while queue:
@@ -91,14 +91,14 @@ class GridMap:
         return ways
 
     def can_reach(self, cell: int) -> bool:
-        """Return whether a way leads from the start to a cell once all doors are open."""
+        """Return whether a cell is reachable from the start once all doors are open."""
         return cell in self._ways
 
     def list_doors_before(self, cell: int) -> tuple[int, ...]:
-        """Numbers of the doors that are passed on the way from the start to a cell.
+        """Return the indices of the doors on the way from the start to a cell.
 
         Raises:
-            ConfigError: no way leads there even with all doors open.
+            ConfigError: the cell is unreachable even with all doors open.
         """
         if not self.can_reach(cell):
             raise ConfigError("puzzle.rows", self.rows, f"a way from the start to cell {cell}")

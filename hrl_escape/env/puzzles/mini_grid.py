@@ -1,11 +1,11 @@
 """DoorKey, KeyCorridor and MultiRoom of MiniGrid (Chevalier-Boisvert et al. 2023), cell by cell.
 
-Doors are opened and shut by `use` from the cell before them, locked ones with the key in hand; `grip` takes the thing
-in the cell ahead, `release` puts it down there. Shut doors and things block their cells. The exit opens once every door
-has been opened, or where there is a ball once that is held. The instance seed draws the map, as MiniGrid's generators
-do. The state is a word: two bits a door (open now, opened once), then `PLACE_BITS` a thing, its cell or `HELD`.
+`use` opens and shuts the door in the cell ahead; a locked door requires the key in hand. `grip` takes the thing in the
+cell ahead, `release` puts it down there. Shut doors and things block their cells. The exit opens once every door has
+been opened or, on maps with a ball, once a ball is held. The instance seed draws the map, as MiniGrid's generators do.
+The state is a word: two bits per door (open now, opened once), then `PLACE_BITS` per thing, its cell or `HELD`.
 
-The generators draw maps from other random numbers than MiniGrid's, and leave out its outer walls, which are the room's.
+The generators use other random numbers than MiniGrid's. They leave out the outer walls, which belong to the room.
 """
 
 from __future__ import annotations
@@ -30,34 +30,34 @@ PLACE_BITS = 10
 HELD = (1 << PLACE_BITS) - 1
 """Place of the thing in the hand."""
 DrawnLevel = Literal["door-key", "key-corridor", "multi-room"]
-"""Names of the families of levels whose maps are drawn."""
+"""Families of levels with generated maps."""
 
 
 @dataclasses.dataclass(frozen=True)
 class MiniGridConfig(PuzzleConfig):
-    """Room configuration of a MiniGrid level; the room must have as many cells as its map."""
+    """Configuration of a MiniGrid level. The room must have as many cells as its map."""
 
     kind = "mini-grid"
     level: Literal[DrawnLevel, "rows"] = "door-key"
-    """Family of levels; `rows` takes the map given there."""
+    """Family of levels; `rows` uses the map given there."""
     size: Annotated[int, Range(3, 25)] = 8
     """Side of the map with its outer walls (door-key, multi-room), or of each room (key-corridor)."""
     rooms: Annotated[int, Range(1, 6)] = 3
-    """Rooms one above another (key-corridor), or one after another (multi-room)."""
+    """Number of rooms above each other (key-corridor), or in a row (multi-room)."""
     largest: Annotated[int, Range(4, 10)] = 5
     """Largest side of a room with its walls (multi-room)."""
     rows: tuple[str, ...] = ()
-    """An explicit map without its outer walls, such as one of MiniGrid's own levels."""
+    """An explicit map without its outer walls, such as a level of MiniGrid."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         if bool(self.rows) != (self.level == "rows"):
-            raise ConfigError("puzzle.rows", self.rows, "a map exactly where puzzle.level is 'rows'")
+            raise ConfigError("puzzle.rows", self.rows, "a map if puzzle.level is 'rows', and empty otherwise")
         if self.level == "door-key" and self.size < 5:
             raise ConfigError("puzzle.size", self.size, "at least 5 for a door and a key")
 
     def make_puzzle(self, rng: np.random.Generator) -> MiniGridPuzzle:
-        """Draw the level's map from the generator, or take the given `rows`."""
+        """Sample the map of the level, or use the given `rows`."""
         if self.level == "rows":
             return MiniGridPuzzle(self.rows)
         if self.level == "door-key":
@@ -69,18 +69,18 @@ class MiniGridConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class MiniGridPuzzle(Mapped, Modelled, Puzzle):
-    """A concrete level. Doors are called `door-1`, ..., things `key-1` and `ball-1`."""
+    """A concrete level. Doors are named `door-1`, ..., things `key-1` and `ball-1`."""
 
     kind = "mini-grid"
     are_pads = True
     rows: tuple[str, ...] = (">D",)
-    """The map without its outer walls; see `maps.py` for its characters."""
+    """The map without its outer walls; `maps.py` lists its characters."""
 
     def check(self) -> None:
-        """Check that the state fits into a word and that everything can be reached."""
+        """Check that the state fits into a word and that everything is reachable."""
         grid = self.grid
         if len("".join(self.rows)) >= HELD or 2 * len(grid.doors) + PLACE_BITS * len(grid.things) > 62:
-            raise ConfigError("puzzle.rows", self.rows, f"fewer than {HELD} cells, and few enough doors and things")
+            raise ConfigError("puzzle.rows", self.rows, f"fewer than {HELD} cells, and fewer doors and things")
         for cell in (*grid.doors, *grid.things, *([] if grid.goal is None else [grid.goal])):
             grid.list_doors_before(cell)
 
@@ -103,12 +103,12 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
 
     @property
     def target_cells(self) -> tuple[int, ...]:
-        """Cells of the doors, and those in which things lie at first."""
+        """Cells of the doors, then the initial cells of the things."""
         return (*self.grid.doors, *self.grid.things)
 
     @property
     def blockable_cells(self) -> tuple[int, ...]:
-        """Cells of the doors and, on a map with things, all others that are no walls."""
+        """Cells of the doors; on a map with things, all cells that are not walls."""
         return self.grid.blockable
 
     # --- states ------------------------------------------------------------------------
@@ -117,7 +117,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return 2 * len(self.grid.doors) + PLACE_BITS * thing
 
     def get_place(self, state: int, thing: int) -> int:
-        """Cell of a thing, or `HELD`."""
+        """Return the cell of a thing, or `HELD`."""
         return state >> self._shift(thing) & HELD
 
     def _move(self, state: int, thing: int, place: int) -> int:
@@ -127,20 +127,20 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return [self.get_place(state, thing) for thing in range(len(self.grid.things))]
 
     def get_held(self, state: int) -> int | None:
-        """Number of the held thing; None for an empty hand."""
+        """Return the number of the held thing, or None for an empty hand."""
         places = self._list_places(state)
         return places.index(HELD) if HELD in places else None
 
     def is_open(self, state: int, door: int) -> bool:
-        """Return whether a door stands open."""
+        """Return whether a door is open."""
         return bool(state >> 2 * door & 1)
 
     def make_state(self) -> int:
-        """State with all doors shut and all things in their first places."""
+        """Return the state with all doors shut and all things in their initial cells."""
         return sum(cell << self._shift(thing) for thing, cell in enumerate(self.grid.things))
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value gives every thing a cell of its own, and at most one is held."""
+        """Return whether an untrusted value is a state: every thing in a cell of its own, and at most one held."""
         grid = self.grid
         if type(state) is not int or not 0 <= state < 1 << self._shift(len(grid.things)):
             return False
@@ -151,7 +151,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return len(set(places)) == len(places) and free.issuperset(places)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Take, put down, open or shut what is in the cell ahead."""
+        """Take, put down, open or shut the thing or door in the cell ahead."""
         if contacts.ahead < 0 or not contacts.grip:
             return state
         grid, held = self.grid, self.get_held(state)
@@ -171,7 +171,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return state
 
     def get_shut(self, state: int) -> int:
-        """Bits of the cells that a shut door or a thing blocks."""
+        """Return the bits of the cells that a shut door or a thing blocks."""
         grid = self.grid
         shut = sum(1 << grid.blockable.index(cell) for door, cell in enumerate(grid.doors)
                    if not self.is_open(state, door))
@@ -185,7 +185,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return all(state >> 2 * door & 2 for door in range(len(grid.doors)))
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """Two numbers a door: open, opened once; three a thing: held, row and column as shares of the map."""
+        """Return two numbers per door (open, opened once) and three per thing (held, row and column as fractions)."""
         numbers = [float(state >> bit & 1) for bit in range(2 * len(self.grid.doors))]
         for place in self._list_places(state):
             row, column = (0, 0) if place == HELD else divmod(place, self.grid.columns)
@@ -193,19 +193,19 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return tuple(numbers)
 
     def describe(self, state: int) -> tuple[str, ...]:
-        """The doors that have been opened, those shut again included."""
+        """Return a sentence with the doors opened so far, including those shut again."""
         opened = [name for door, name in enumerate(self.target_names[: len(self.grid.doors)]) if state >> 2 * door & 2]
         return (f"Doors opened so far: {join_words(opened) or 'none'}.",)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Lit targets: open doors, and the thing that is held."""
+        """Return whether each target is lit: open doors, and the held thing."""
         return (*(self.is_open(state, door) for door in range(len(self.grid.doors))),
                 *(place == HELD for place in self._list_places(state)))
 
     # --- for planners ------------------------------------------------------------------
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`open(door)`, `opened(door)`, `held(thing)` or `lies(thing)`, wherever that is, and `free(hand)`."""
+        """Return `open(door)`, `opened(door)`, `held(thing)` or `lies(thing)` (in any cell), and `free(hand)`."""
         doors, facts = len(self.grid.doors), set[str]()
         for number, name in enumerate(self.target_names):
             if number < doors:
@@ -216,20 +216,20 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return frozenset(facts if self.get_held(state) is not None else facts | {"free(hand)"})
 
     def make_contacts(self, operator: Operator) -> Contacts:
-        """Contacts of the primitive that carries out an operator, with each thing in its first place or the hand."""
+        """Return the contacts of the primitive of an operator, with things in their initial cells or held."""
         grip = {"grip": 1, "release": -1, "use": USE}[operator.action]
         cell = self.target_cells[self.target_names.index(operator.target)]
         return Contacts((), grip=grip, ahead=self.grid.blockable.index(cell))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """Open each door, with a key in hand if it is locked; take things, put down keys.
+        """Return the model: open doors (locked ones with a key in hand), take things, put down keys.
 
-        A thing can be taken once the doors before its first place are open, wherever it was put down since.
+        A thing can be taken once the doors before its initial cell are open, even if it was put down elsewhere since.
         """
         return self._make_model(self.target_cells)
 
     def _make_model(self, cells: tuple[int, ...]) -> SymbolicModel:
-        """Model with targets in these cells, whose ways decide which doors must be open; none is for those without."""
+        """Model with targets in these cells. The ways to them decide which doors must be open."""
         grid, names = self.grid, self.target_names
         doors, keys = len(grid.doors), [f"held({name})" for name in names if name.startswith("key")]
         free, operators = frozenset({"free(hand)"}), []
@@ -258,7 +258,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return SymbolicModel(facts, tuple(operators), goal)
 
     def list_cells(self, state: int, action: str, target: int) -> tuple[int, ...]:
-        """Cell of a door or thing; to put a thing down, the free cells in which it blocks no way."""
+        """Return the cell of a door or thing; to put a thing down, the free cells where it blocks no way."""
         grid, doors = self.grid, len(self.grid.doors)
         places = self._list_places(state)
         if action != "release":
@@ -269,19 +269,19 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
                      if cell not in taken and cell not in grid.bottlenecks)
 
     def find_model(self, state: int) -> SymbolicModel | None:
-        """The model with things where they lie now."""
+        """Return the model with things in their current cells."""
         places = zip(self._list_places(state), self.grid.things, strict=True)
         things = tuple(first if place == HELD else place for place, first in places)
         return None if things == self.grid.things else _make_moved_model(self, things)
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
-        """The fewest operators to the goal, by search, as doors leave little choice of order; things where they lie."""
+        """Return the fewest operators to the goal from the current cells of things, by search."""
         return (self.find_model(state) or self.make_symbolic_model()).find_fewest(self.get_facts(state))
 
 
 @lru_cache(maxsize=256)
 def _make_moved_model(puzzle: MiniGridPuzzle, things: tuple[int, ...]) -> SymbolicModel:
-    """Model with things in these cells; options ask for it at each step."""
+    """Model with things in these cells, cached because options request it at each step."""
     return puzzle._make_model((*puzzle.grid.doors, *things))
 
 
@@ -291,11 +291,11 @@ register_puzzle(MiniGridConfig, MiniGridPuzzle)
 # --- levels ---------------------------------------------------------------------------------
 
 _SIDES = ((1, 0), (0, 1), (-1, 0), (0, -1))
-"""Steps (column, row) out of a room, in MiniGrid's order of its doors: right, down, left, up."""
+"""Steps (column, row) out of a room, in MiniGrid's order of doors: right, down, left, up."""
 
 
 class _Canvas:
-    """A map under construction, outer walls included; places are (column, row)."""
+    """A map under construction with its outer walls; places are (column, row)."""
 
     def __init__(self, columns: int, rows: int, rng: np.random.Generator) -> None:
         self.cells, self.rng = np.full((rows, columns), "#"), rng
@@ -308,11 +308,11 @@ class _Canvas:
         self.cells[at[1], at[0]] = what
 
     def draw(self, low: int, high: int) -> int:
-        """A whole number from `low` up to, but not including, `high`."""
+        """A random integer from `low` up to, but not including, `high`."""
         return int(self.rng.integers(low, high))
 
     def scatter(self, what: str, left: int, top: int, right: int, bottom: int) -> tuple[int, int]:
-        """Put a character into a random free cell of a part of the map."""
+        """Put a character into a random free cell of a rectangle."""
         rows, columns = np.nonzero(self.cells[top:bottom, left:right] == " ")
         number = self.draw(0, len(rows))
         at = left + int(columns[number]), top + int(rows[number])
@@ -328,7 +328,7 @@ class _Canvas:
 
 
 def draw_door_key(size: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """A wall with a locked door, start and key on its left, the goal in the lower right corner."""
+    """Draw a wall with a locked door: start and key on its left, the goal in the lower right corner."""
     canvas = _Canvas(size, size, rng)
     canvas.clear(1, 1, size - 1, size - 1)
     canvas.put("G", (size - 2, size - 2))
@@ -341,7 +341,7 @@ def draw_door_key(size: int, rng: np.random.Generator) -> tuple[str, ...]:
 
 
 def draw_key_corridor(size: int, rows: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """Three columns of rooms: a corridor, a key in a room on its left, a ball behind a locked door on its right."""
+    """Draw three columns of rooms: a corridor, a key on its left, and a ball behind a locked door on its right."""
     step = size - 1
     canvas = _Canvas(3 * step + 1, rows * step + 1, rng)
     boxes = {(i, j): (i * step + 1, j * step + 1, (i + 1) * step, (j + 1) * step)
@@ -380,7 +380,6 @@ def draw_key_corridor(size: int, rows: int, rng: np.random.Generator) -> tuple[s
 
 
 def _find_connected(room: tuple[int, int], links: set[frozenset[tuple[int, int]]]) -> set[tuple[int, int]]:
-    """Rooms that are connected to a room through links."""
     found = {room}
     while more := set(itertools.chain(*(link for link in links if link & found))) - found:
         found |= more
@@ -388,9 +387,9 @@ def _find_connected(room: tuple[int, int], links: set[frozenset[tuple[int, int]]
 
 
 def draw_multi_room(size: int, rooms: int, largest: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """Rooms of random sizes one after another, a door between each two, the start in the first, the goal in the last.
+    """Draw a row of rooms of random sizes with a door between neighbours, the start in the first, the goal in the last.
 
-    A layout that gets stuck with too few rooms is drawn anew.
+    A layout that gets stuck with too few rooms is drawn again.
     """
     boxes: list[tuple[int, int, int, int]] = []
     doors: list[tuple[int, int]] = []
@@ -409,9 +408,9 @@ def draw_multi_room(size: int, rooms: int, largest: int, rng: np.random.Generato
 
 def _place_rooms(canvas: _Canvas, left_over: int, largest: int, wall: int, door: tuple[int, int],
                  boxes: list[tuple[int, int, int, int]], doors: list[tuple[int, int]]) -> bool:
-    """Place a room whose entry is a door in one of its walls (right, down, left, up), and the others behind it.
+    """Place a room with a given entry door in one of its walls (right, down, left, up), then the rooms behind it.
 
-    Boxes are (left, top, right, bottom), walls included, the last two not inclusive.
+    Boxes are (left, top, right, bottom) with walls; right and bottom are exclusive.
     """
     wide, high = canvas.draw(4, largest + 1), canvas.draw(4, largest + 1)
     x, y = door

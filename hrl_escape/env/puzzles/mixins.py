@@ -1,7 +1,7 @@
-"""Mixins that some puzzles have besides their rules: a graph, signs, marks, doors, a map, things to push.
+"""Mixins for puzzles with more than rules: a graph, signs, marks, doors, a map, things to push.
 
-A puzzle declares a mixin as a base class, `class Sokoban(Pushing, Puzzle)`. The defaults of each mixin are those
-of a puzzle without it: `get_mixin(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
+A puzzle declares a mixin as a base class: `class Sokoban(Pushing, Puzzle)`. The defaults of each mixin describe a
+puzzle without it: `get_mixin(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ Mixin = TypeVar("Mixin")
 
 
 def get_mixin(puzzle: object, mixin: type[Mixin]) -> Mixin:
-    """Return the puzzle itself if it has a mixin, else an empty instance of the mixin."""
+    """Return the puzzle itself if it has a mixin, otherwise an instance of the mixin with its defaults."""
     return puzzle if isinstance(puzzle, mixin) else mixin()
 
 
 class Graphed:
-    """Mixin: targets depend on each other; for drawings, reports and learners' graphs, not for planners."""
+    """Mixin: targets depend on each other. Drawings, reports and learned graphs use it; planners do not."""
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
@@ -30,12 +30,12 @@ class Graphed:
 
     @property
     def locks_between(self) -> tuple[tuple[int, int], ...]:
-        """Pairs (a, b) of targets of which a, once it is on, keeps b from being turned on."""
+        """Pairs (a, b) of targets: once a is on, b can no longer be turned on."""
         return ()
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Targets that must be on in the end."""
+        """Targets that must be on at the end."""
         return ()
 
 
@@ -48,43 +48,43 @@ class Depicted:
         return ()
 
     def get_sign(self, state: Any, target: int) -> str:
-        """Text that drawings show at a target besides its name, such as its stock; empty for none."""
+        """Return the text that drawings add to a target's name, such as its stock; empty for none."""
         return ""
 
 
 class Marked:
-    """Mixin: targets bear symbols that agents see, and that change no rule; see `marks.py`."""
+    """Mixin: targets carry symbols that agents observe. Symbols never change the rules; see `marks.py`."""
 
     marks: tuple[int, ...] = ()
-    """Number of the symbol on each target; none where targets bear no marks."""
+    """Number of the symbol on each target; empty if targets have no marks."""
 
 
 class Barring:
-    """Mixin: the state decides which of the room's inner doors, or things in cells, block the way."""
+    """Mixin: the state decides which inner doors of the room, or things in cells, block the way."""
 
     def get_shut(self, state: Any) -> int:
-        """Bits of the inner doors that are shut."""
+        """Return the bits of the inner doors that are shut."""
         return 0
 
 
 class Doored(Barring):
-    """Mixin of a `Modelled` puzzle without a map: doors between rooms open with its facts, and stay open."""
+    """Mixin of a `Modelled` puzzle without a map: facts of the puzzle open doors between rooms, for good."""
 
     get_facts: Callable[[Any], frozenset[str]]
 
     @property
     def door_facts(self) -> tuple[str, ...]:
-        """For each door, the fact of the symbolic model that opens it for good."""
+        """Fact of the symbolic model that opens each door for good."""
         return ()
 
     def get_shut(self, state: Any) -> int:
-        """Bits of the doors whose fact does not hold."""
+        """Return the bits of the doors whose fact does not hold."""
         facts = self.get_facts(state) if self.door_facts else frozenset[str]()
         return sum(1 << door for door, fact in enumerate(self.door_facts) if fact not in facts)
 
 
 class Mapped(Barring):
-    """Mixin: the puzzle draws the map of its grid world, see `maps.py`; cells are numbered row by row."""
+    """Mixin: the puzzle has a map of a grid world (`maps.py`). Cells are numbered row by row."""
 
     @property
     def map_rows(self) -> tuple[str, ...]:
@@ -102,16 +102,16 @@ class Mapped(Barring):
         return ()
 
     def list_cells(self, state: Any, action: str, target: int) -> tuple[int, ...]:
-        """Numbers of the inner doors' cells in which an action at a target can be carried out now."""
+        """Return the indices of the inner doors' cells where an action at a target is possible in a state."""
         return ()
 
 
 class Pushing(Mapped):
-    """Mixin: a move into a blocked cell calls `update` with `PUSH`, and goes ahead if that frees the cell."""
+    """Mixin: a move into a blocked cell calls `update` with `PUSH`, and succeeds if that frees the cell."""
 
 
 class Propped:
-    """Mixin: props stand on the floor, and physics moves them."""
+    """Mixin: the puzzle has props on the floor, which physics moves."""
 
     @property
     def props(self) -> tuple[Prop, ...]:
@@ -119,10 +119,10 @@ class Propped:
         return ()
 
     def with_props(self, props: tuple[Prop, ...]) -> Any:
-        """The same puzzle with other props on the floor.
+        """Return the same puzzle with other props on the floor.
 
         Raises:
-            ConfigError: the puzzle cannot be one with these.
-            UnsupportedError: nothing stands on this puzzle's floor.
+            ConfigError: the puzzle is not possible with these props.
+            UnsupportedError: the puzzle has no props.
         """
-        raise UnsupportedError("this puzzle has no blocks or plates; push-block has")
+        raise UnsupportedError("this puzzle has no blocks or plates; use push-block")

@@ -14,7 +14,7 @@ from hrl_escape.settings import Range
 class Place(HashedSettings):
     """An explicit place of a panel's centre.
 
-    `yaw_deg` is the direction of its width; `z` None takes the panels' `centre_height`.
+    `yaw_deg` is the direction of its width. If `z` is None, the panels' `centre_height` applies.
     """
 
     _section = "place"
@@ -30,7 +30,7 @@ class Place(HashedSettings):
 
 @dataclasses.dataclass(frozen=True)
 class Panels(HashedSettings):
-    """Size and places of panels: boxes on the walls that are pressed by touch."""
+    """Sizes and places of panels: boxes on the walls that are pressed by touch."""
 
     _section = "panels"
     _takes_ranges = True
@@ -43,47 +43,47 @@ class Panels(HashedSettings):
     centre_height: Annotated[float, Range(0, 50, "m")] = 0.75
     """Height of the centre."""
     height_spread: Annotated[float, Range(0, 50, "m")] = 0.0
-    """Largest deviation of a centre from `centre_height`, up or down."""
+    """Largest deviation of a centre from `centre_height`. More variation requires an arm with more reach."""
     inset: Annotated[float, Range(0, 50, "m")] | None = None
-    """Distance of the centre from its wall (None: flush)."""
+    """Distance of the centre from its wall, or None for flush panels."""
     places: Literal["random", "paper"] | tuple[Place, ...] = "random"
-    """Anywhere on the walls, the paper's four places, or explicit ones."""
+    """Where panels are: anywhere on the walls, at the four places of the paper, or at explicit places."""
     gap: Annotated[float, Range(0, 50, "m")] = 0.0
-    """Least gap between two random panels; twice the robot's reach ensures that it touches only one at a time."""
+    """Smallest gap between two random panels. Twice the robot's reach ensures that it touches only one at a time."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Pads(HashedSettings):
-    """Size and places of the rectangles on the floor that are pressed when the body's axis enters them."""
+    """Size and places of pads: rectangles on the floor, pressed when the body's axis enters them."""
 
     _section = "pads"
     _takes_ranges = True
     width: Annotated[float, Range(0.02, 200, "m")] = 2.0
-    """Size along its own x."""
+    """Size along the pad's x."""
     depth: Annotated[float, Range(0.02, 200, "m")] = 2.0
-    """Size along its own y."""
+    """Size along the pad's y."""
     places: Literal["random"] | tuple[Place, ...] = "random"
-    """Anywhere on the floor, parallel to the walls, or explicit ones."""
+    """Where pads are: anywhere on the floor parallel to the walls, or at explicit places."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Capsule(HashedSettings):
-    """A region of the floor: all places within a radius of a segment; the robot drives through it."""
+    """A region of the floor: all points within a radius of a segment. The robot can drive through it."""
 
     _section = "capsule"
     x1: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """One end of the segment, along x."""
+    """x of one end of the segment."""
     y1: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """One end of the segment, along y."""
+    """y of one end of the segment."""
     x2: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Other end of the segment, along x."""
+    """x of the other end of the segment."""
     y2: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Other end of the segment, along y."""
+    """y of the other end of the segment."""
     radius: Annotated[float, Range(0.01, 100, "m")] = 1.0
-    """Radius of the region round the segment."""
+    """Radius of the region around the segment."""
 
     def compute_depth(self, x: float, y: float) -> float:
-        """Distance of a place from the region's edge, m; 0 outside the region."""
+        """Return the depth of a point inside the region, m: its distance from the edge, or 0 outside."""
         along_x, along_y, to_x, to_y = self.x2 - self.x1, self.y2 - self.y1, x - self.x1, y - self.y1
         length = along_x * along_x + along_y * along_y
         share = min(max((to_x * along_x + to_y * along_y) / length, 0.0), 1.0) if length else 0.0
@@ -93,16 +93,16 @@ class Capsule(HashedSettings):
 
 @dataclasses.dataclass(frozen=True)
 class Prop(HashedSettings):
-    """A prop on the floor: a movable block (physics dynamics), or a flat plate."""
+    """A prop on the floor: a movable block (physics dynamics only), or a flat plate."""
 
     _section = "prop"
     name: str = "block"
-    """Name that no other prop of the puzzle has."""
+    """Unique name of the prop within the puzzle."""
     kind: Literal["block", "plate"] = "block"
-    """Movable solid, or flat region."""
+    """A movable solid, or a flat region."""
     half_size: Annotated[float, Range(0.05, 10, "m")] = 0.3
-    """Half its side; the footprint is a square."""
+    """Half the side of the square footprint."""
     height: Annotated[float, Range(0.01, 10, "m")] = 0.4
-    """Height of a block; a plate is flat."""
+    """Height of a block; plates are flat."""
     mass: Annotated[float, Range(0.01, 10_000, "kg")] = 5.0
-    """Mass of a block; a plate does not move."""
+    """Mass of a block; plates do not move."""

@@ -1,9 +1,10 @@
-"""Potions with hidden effects, after Alchemy (Wang et al. 2021): what a potion does is drawn anew for each episode.
+"""Potions with hidden effects, after Alchemy (Wang et al. 2021): the effects of potions change with every episode.
 
-A stone has features, each on or off. Each potion, a panel, turns one feature on or off; which one and which way is
-hidden, the same in all trials of an episode, and another in the next. A stone with all features on ends the trial, and
-the next stone has all of them off. The exit opens after the last trial. So an agent that remembers what it has tried
-does better in later trials. The state is a word: the stone, the trials done, and the number of the hidden rule.
+A stone has features, each on or off. Each potion, a panel, turns one feature on or off. Which feature and which
+direction is hidden, constant in an episode, and redrawn for the next. A stone with all features on ends the trial, and
+the next stone has all features off. The exit opens after the last trial. Agents that remember the effects of potions
+therefore improve over the trials of an episode. The state is a word: the stone, the finished trials, and the number of
+the hidden rule.
 """
 
 from __future__ import annotations
@@ -29,32 +30,32 @@ class Brew(NamedTuple):
     """Decoded state of the puzzle."""
 
     stone: int  # bit i is 1 while feature i is on
-    trials: int  # number of trials done
-    rule: int  # number of the hidden rule; see `list_rules`
+    trials: int  # number of finished trials
+    rule: int  # index of the hidden rule in `list_rules`
 
 
 @dataclasses.dataclass(frozen=True)
 class PotionsConfig(PuzzleConfig):
-    """Room configuration of the potions, two panels for each feature of the stone."""
+    """Configuration of the potions, two panels per feature of the stone."""
 
     kind = "potions"
     features: Features = 2
-    """Number of features of a stone; each has two potions."""
+    """Number of features of a stone, each with two potions. More features mean more hidden rules."""
     trials: Trials = 5
-    """Number of stones to make perfect before the exit opens."""
+    """Number of stones to complete before the exit opens. More trials reward memory more."""
     bottles: Panels = Panels(width=1.0)
     """Sizes and places of the potions' panels."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PotionsPuzzle(Modelled, Puzzle):
-    """Concrete potions. Potion i is called `potion-<i+1>`."""
+    """Concrete potions. The name of potion i is `potion-<i+1>`."""
 
     kind = "potions"
     features: Features = 1
-    """Number of features of a stone; each has two potions."""
+    """Number of features of a stone, each with two potions."""
     trials: Trials = 1
-    """Number of stones to make perfect before the exit opens."""
+    """Number of stones to complete before the exit opens."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -62,20 +63,20 @@ class PotionsPuzzle(Modelled, Puzzle):
         return tuple(f"potion-{i + 1}" for i in range(2 * self.features))
 
     def encode(self, brew: Brew) -> int:
-        """State of a brew."""
+        """Return the state of a brew."""
         return brew.stone | brew.trials << TRIAL_SHIFT | brew.rule << RULE_SHIFT
 
     def decode(self, state: int) -> Brew:
-        """Brew of a state."""
+        """Return the brew of a state."""
         return Brew(state & (1 << TRIAL_SHIFT) - 1, state >> TRIAL_SHIFT & (1 << RULE_SHIFT - TRIAL_SHIFT) - 1,
                     state >> RULE_SHIFT)
 
     def list_starts(self) -> tuple[int, ...]:
-        """List the states of the first stone under each rule."""
+        """List the initial states: the first stone under each rule."""
         return tuple(self.encode(Brew(0, 0, rule)) for rule in range(len(list_rules(self.features))))
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is a stone that is not perfect, in a trial, under a rule."""
+        """Return whether an untrusted value is an incomplete stone, a trial and a rule."""
         if type(state) is not int or state < 0:
             return False
         stone, trials, rule = self.decode(state)
@@ -94,23 +95,23 @@ class PotionsPuzzle(Modelled, Puzzle):
         return self.encode(Brew(stone, trials, rule))
 
     def is_solved(self, state: int) -> bool:
-        """Return whether all trials are done."""
+        """Return whether all trials are finished."""
         return self.decode(state).trials == self.trials
 
     def compute_progress(self, state: int) -> float:
-        """Share in [0, 1] of the trials that are done."""
+        """Return the fraction, in [0, 1], of the trials that are finished."""
         return self.decode(state).trials / self.trials
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number per feature, and the share of the trials done; the rule stays hidden."""
+        """Return one number per feature, and the fraction of finished trials; the rule stays hidden."""
         return (*(float(self.decode(state).stone >> i & 1) for i in range(self.features)), self.compute_progress(state))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """No potion is lit until all trials are done, then all are."""
+        """Return whether each potion is lit: all once all trials are finished, none before."""
         return (self.is_solved(state),) * (2 * self.features)
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`on(feature-i)`, `done(trials)`, and the hidden `gives(potion,feature)` or `takes(potion,feature)`."""
+        """Return `on(feature-i)`, `done(trials)`, and the hidden `gives(potion,feature)` or `takes(potion,feature)`."""
         stone, trials, rule = self.decode(state)
         known = (self._name(potion, *effect) for potion, effect in enumerate(list_rules(self.features)[rule]))
         return frozenset({*(f"on(feature-{i + 1})" for i in range(self.features) if stone >> i & 1), f"done({trials})",
@@ -120,7 +121,7 @@ class PotionsPuzzle(Modelled, Puzzle):
         return f"{'gives' if is_on else 'takes'}({self.target_names[potion]},feature-{feature + 1})"
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator per potion, with a conditional effect for each possible rule; planners know the hidden rule."""
+        """Return the model: one operator per potion with a conditional effect per rule. It contains the hidden rule."""
         on = [f"on(feature-{i + 1})" for i in range(self.features)]
         done = [frozenset({f"done({trials})"}) for trials in range(self.trials + 1)]
         operators, hidden = [], []
@@ -141,7 +142,7 @@ class PotionsPuzzle(Modelled, Puzzle):
 
 @lru_cache
 def list_rules(features: int) -> tuple[tuple[tuple[int, bool], ...], ...]:
-    """All hidden rules: for each potion, the feature that it turns and whether it turns it on."""
+    """List all hidden rules: for each potion, the feature that it changes and whether it turns it on."""
     effects = [(feature, is_on) for feature in range(features) for is_on in (True, False)]
     return tuple(itertools.permutations(effects))
 

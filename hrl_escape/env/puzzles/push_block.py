@@ -1,9 +1,8 @@
-"""Push blocks onto plates: a puzzle with continuous state that only physics dynamics can solve.
+"""Push blocks onto plates: a puzzle with continuous state that requires physics dynamics.
 
-Each block has a plate of its own on the floor; while every block's centre is over its plate the
-exit is open. Pushing it off again shuts the exit. The state is where each block is, seen from its
-plate. Loose blocks, which belong to no plate, are movable obstacles; an edited room may have some.
-Nothing hangs on the walls.
+Each block has its own plate on the floor. The exit is open while the centre of every block is over its plate, and
+closes if a block is pushed off again. The state is the pose of each block relative to its plate. Loose blocks, which
+have no plate, are movable obstacles; only edited rooms have them. There are no panels.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 LARGEST_OFFSET = 300.0
-"""Bound of observed offsets, m; no room is as large."""
+"""Bound of observed offsets, m; larger than any room."""
 _OFFSETS = (-LARGEST_OFFSET, LARGEST_OFFSET)
 
 
 class BlockPose(NamedTuple):
-    """Placement of a block in the frame of its plate."""
+    """Pose of a block in the frame of its plate."""
 
     x: float  # m
     y: float  # m
-    yaw: float  # rad, in [-pi/4, pi/4): a square looks the same after a quarter turn
+    yaw: float  # rad, in [-pi/4, pi/4): a square is symmetric under quarter turns
 
 
 @dataclasses.dataclass(frozen=True)
 class PushBlockConfig(PuzzleConfig):
-    """Room configuration of the pushing puzzle."""
+    """Configuration of the pushing puzzle."""
 
     kind = "push-block"
     needs_physics = True
@@ -47,12 +46,12 @@ class PushBlockConfig(PuzzleConfig):
     block_height: Annotated[float, Range(0.05, 5, "m")] = 0.4
     """Height of a block."""
     block_mass: Annotated[float, Range(0.01, 10_000, "kg")] = 5.0
-    """Mass of a block; the robot pushes with 20 N a kg of its own mass."""
+    """Mass of a block. The robot pushes with 20 N per kg of its own mass; heavier blocks move less."""
     plate_size: Annotated[float, Range(0.1, 20, "m")] = 1.5
-    """Side of a plate; smaller is harder."""
+    """Side of a plate. Smaller plates require more precise pushes."""
 
     def make_puzzle(self, rng: np.random.Generator) -> PushBlockPuzzle:
-        """Make the puzzle; nothing in it is random, for the room places the props."""
+        """Make the puzzle. It has no random parts; the room samples the places of the props."""
         props = []
         for i in range(self.count):
             props.append(Prop(f"block-{i + 1}", "block", self.block_size / 2, self.block_height, self.block_mass))
@@ -62,21 +61,21 @@ class PushBlockConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class PushBlockPuzzle(Propped, Modelled, Puzzle):
-    """A concrete pushing puzzle: each block belongs onto the plate that follows it. Nothing can be pressed."""
+    """A concrete pushing puzzle: each block belongs on the plate that follows it in `things`."""
 
     kind = "push-block"
     fixed_names = ()
     things: tuple[Prop, ...] = (Prop(), Prop("plate", "plate"))
-    """A block, its plate, the next block, and so on; loose blocks come last."""
+    """A block, its plate, the next block, and so on; loose blocks are last."""
 
     def check(self) -> None:
-        """Check that blocks and plates come in pairs, with loose blocks after them."""
+        """Check that blocks and plates alternate and that loose blocks are last."""
         kinds, names = tuple(prop.kind for prop in self.things), [prop.name for prop in self.things]
         pairs = kinds.count("plate")
         if not pairs or kinds != (*("block", "plate") * pairs, *("block",) * (len(kinds) - 2 * pairs)):
-            raise ConfigError("puzzle.things", kinds, "block, plate, block, plate, ..., and then loose blocks")
+            raise ConfigError("puzzle.things", kinds, "block, plate, block, plate, ..., then loose blocks")
         if len(set(names)) < len(names):
-            raise ConfigError("puzzle.things", names, "names that are all different")
+            raise ConfigError("puzzle.things", names, "unique names")
 
     @cached_property
     def pairs(self) -> tuple[tuple[Prop, Prop], ...]:
@@ -85,7 +84,7 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
         return tuple(zip(self.things[: 2 * count : 2], self.things[1 : 2 * count : 2], strict=True))
 
     def with_props(self, props: tuple[Prop, ...]) -> PushBlockPuzzle:
-        """The same puzzle with other blocks and plates."""
+        """Return the same puzzle with other blocks and plates."""
         return dataclasses.replace(self, things=props)
 
     @property
@@ -95,11 +94,11 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Bounds for each block: offset x and y (m), yaw (rad), and 0 or 1 for being on its plate."""
+        """Bounds for each block: offset x and y (m), yaw (rad), and 1 if it is on its plate."""
         return (_OFFSETS, _OFFSETS, (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * len(self.pairs)
 
     def make_state(self) -> tuple[BlockPose, ...]:
-        """State with all blocks far away, until the room reports their poses."""
+        """Return the state with all blocks far away, before the room reports their poses."""
         return (BlockPose(LARGEST_OFFSET, LARGEST_OFFSET, 0.0),) * len(self.pairs)
 
     def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:
@@ -114,11 +113,11 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
                      for block, (_, plate) in zip(state, self.pairs, strict=True))
 
     def is_solved(self, state: tuple[BlockPose, ...]) -> bool:
-        """Every block's centre is over its plate, edges included."""
+        """Return whether the centre of every block is over its plate, edges included."""
         return all(self._list_on_plate(state))
 
     def observe(self, state: tuple[BlockPose, ...]) -> tuple[float, ...]:
-        """Four numbers a block: offset from its plate (m, plate frame), yaw (rad), 1 on the plate."""
+        """Return four numbers per block: offset from its plate (m, plate frame), yaw (rad), 1 on the plate."""
         numbers: list[float] = []
         for block, is_on in zip(state, self._list_on_plate(state), strict=True):
             numbers += [min(max(offset, -LARGEST_OFFSET), LARGEST_OFFSET) for offset in (block.x, block.y)]
@@ -126,17 +125,17 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
         return tuple(numbers)
 
     def describe(self, state: tuple[BlockPose, ...]) -> tuple[str, ...]:
-        """One sentence a block: whether it is on its plate."""
+        """Return one sentence per block: whether it is on its plate."""
         return tuple(f"{block.name} is {'on' if is_on else 'off'} {plate.name}."
                      for (block, plate), is_on in zip(self.pairs, self._list_on_plate(state), strict=True))
 
     def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:
-        """`on-plate(block-i)` for every block on its plate."""
+        """Return `on-plate(block-i)` for every block on its plate."""
         return frozenset(f"on-plate({block.name})"
                          for (block, _), is_on in zip(self.pairs, self._list_on_plate(state), strict=True) if is_on)
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a block: push it onto its plate."""
+        """Return the model: one operator per block, which pushes it onto its plate."""
         operators = []
         for block, plate in self.pairs:
             fact = frozenset({f"on-plate({block.name})"})

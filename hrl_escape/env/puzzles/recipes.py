@@ -1,10 +1,10 @@
 """A recipe game after Crafter (Hafner 2022), on panels: collect five materials, place two things, make three tools.
 
-A press of a material's panel collects one, up to `MOST_KEPT`, once the tool that it takes is there. A press of a
-thing's panel places or makes it, once, for the materials of its recipe, where the things that it takes are there.
-Amounts and tools are those of Crafter (`data.yaml`, table 2 wood, furnace 4 stone); there is no map, no survival, and
-materials never run out. The exit opens once the goal is there. The state is a word: `COUNT_BITS` a material, then a bit
-a thing.
+A press of a material's panel collects one unit, up to `MOST_KEPT`, once the required tool exists. A press of a thing's
+panel places or makes it, once, in exchange for the materials of its recipe, once the required things exist. Amounts and
+tools are taken from Crafter (`data.yaml`, table 2 wood, furnace 4 stone). There is no map and no survival, and
+materials never run out. The exit opens once the goal exists. The state is a word: `COUNT_BITS` per material, then one
+bit per thing.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ MOST_KEPT = 9
 """Largest stock of a material."""
 COUNT_BITS = 4
 MATERIALS = 5
-"""Number of materials; they are the first names."""
+"""Number of materials; they come first in `NAMES`."""
 NAMES: tuple[str, ...] = get_args(Craft)
 """Names of materials, then of things."""
 SHIFTS = tuple(COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0) for number in range(len(NAMES) + 1))
-"""First bit of each name's count in a state, and last the number of bits."""
+"""First bit of each name's count in a state, and last the total number of bits."""
 
 
 class Recipe(NamedTuple):
     """Requirements of a material or thing."""
 
-    takes: tuple[str, ...] = ()  # things that must be there; they are not used up
-    uses: tuple[tuple[str, int], ...] = ()  # materials that are used up, with the number of each
+    takes: tuple[str, ...] = ()  # things that must exist; they are not used up
+    uses: tuple[tuple[str, int], ...] = ()  # materials that are used up, with their amounts
 
 
 RECIPES: dict[str, Recipe] = {
@@ -53,7 +53,7 @@ RECIPES: dict[str, Recipe] = {
 
 @dataclasses.dataclass(frozen=True)
 class RecipesConfig(PuzzleConfig):
-    """Room configuration of the recipe game."""
+    """Configuration of the recipe game."""
 
     kind = "recipes"
     _takes_ranges = True
@@ -65,7 +65,7 @@ class RecipesConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
-    """The recipe game with one goal. Panels are called as materials and things are; the store is empty at first."""
+    """The recipe game with one goal. Panels have the names of materials and things. The store starts empty."""
 
     kind = "recipes"
     fixed_names = NAMES
@@ -74,27 +74,27 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
-        """Dependencies (parent, child): the parent is taken or used for the child."""
+        """Dependencies (parent, child): the child requires or uses up the parent."""
         return tuple((NAMES.index(needed), number) for number, name in enumerate(NAMES)
                      for needed in (*RECIPES[name].takes, *(material for material, _ in RECIPES[name].uses)))
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Number of the material or thing that opens the exit."""
+        """Index of the material or thing that opens the exit, as a tuple of one."""
         return (NAMES.index(self.goal),)
 
     def count(self, state: int, name: str) -> int:
-        """Number of a material in store; 1 or 0 for a thing."""
+        """Return the number of a material in store, or 1 or 0 for a thing."""
         number = NAMES.index(name)
         return state >> SHIFTS[number] & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value keeps at most `MOST_KEPT` of each material."""
+        """Return whether an untrusted value is a state: at most `MOST_KEPT` of each material."""
         in_word = type(state) is int and 0 <= state < 1 << SHIFTS[-1]
         return in_word and all(self.count(state, name) <= MOST_KEPT for name in NAMES[:MATERIALS])
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Collect, place or make what is pressed, one after the other."""
+        """Apply presses in index order: collect, place or make."""
         for target in contacts.pressed:
             name = NAMES[target]
             recipe = RECIPES[name]
@@ -107,35 +107,35 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """Return whether the goal has been collected, placed or made."""
+        """Return whether the goal was collected, placed or made."""
         return self.count(state, self.goal) > 0
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """The store, as shares of `MOST_KEPT`, and 1 for each thing that is there."""
+        """Return the store as fractions of `MOST_KEPT`, then 1 for each thing that exists."""
         return tuple(self.count(state, name) / (MOST_KEPT if number < MATERIALS else 1)
                      for number, name in enumerate(NAMES))
 
     @property
     def light_numbers(self) -> tuple[int, ...]:
-        """One a target: above 0 where it is lit."""
+        """Index of each target's number, which is above 0 while the target is lit."""
         return tuple(range(len(NAMES)))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Lit panels: materials in store, and things placed or made."""
+        """Return whether each panel is lit: a material in store, or an existing thing."""
         return tuple(self.count(state, name) > 0 for name in NAMES)
 
     def get_sign(self, state: int, target: int) -> str:
-        """Number of a material in store; empty for none and for things."""
+        """Return the number of a material in store as text; empty for none and for things."""
         count = self.count(state, NAMES[target]) if target < MATERIALS else 0
         return str(count) if count else ""
 
     # --- for planners ------------------------------------------------------------------
 
     def list_presses(self, state: int) -> list[str]:
-        """List the fewest presses that reach the goal from here, by name.
+        """List the fewest presses, by name, that reach the goal from a state.
 
-        Each thing on the way is made once, and each material is collected once for each use that the store does not
-        cover: no press does more than one of these, so fewer are not enough.
+        Each thing on the way is made once. Each material is collected once for each use that the store does not cover.
+        A press does only one of these, and fewer presses are therefore not enough.
         """
         order: list[str] = []
         _list_things(self.goal, order)
@@ -146,27 +146,27 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         presses: list[str] = []
         for name in order:
             for material, _ in RECIPES[name].uses:
-                if material not in presses:  # all at once, as there are many presses
+                if material not in presses:  # append all presses of a material together
                     needed = sum(number for used, number in uses if used == material)
                     presses += [material] * max(needed - self.count(state, material), 0)
             presses.append(name)
         return presses
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...]:
-        """The fewest presses, in an order in which each has its effect."""
+        """Return the fewest presses in an order that is valid."""
         operators = {operator.target: operator for operator in self.make_symbolic_model().operators}
         return tuple(operators[name] for name in self.list_presses(state))
 
     def compute_progress(self, state: int) -> float:
-        """Share of the presses of an optimal solution that are no longer needed."""
+        """Return the fraction of the presses of an optimal solution that are no longer needed."""
         return 1.0 - len(self.list_presses(state)) / len(self.list_presses(self.make_state()))
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`has(name,k)` where there are at least k of it."""
+        """Return `has(name,k)` for every k up to the amount of each name."""
         return frozenset(_name_fact(name, k) for name in NAMES for k in range(1, self.count(state, name) + 1))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a press; conditional effects count materials up and down."""
+        """Return the model: one operator per press; conditional effects count materials up and down."""
         operators = []
         for number, name in enumerate(NAMES):
             recipe = RECIPES[name]
@@ -190,7 +190,7 @@ def _name_fact(name: str, count: int) -> str:
 
 
 def _list_things(name: str, order: list[str]) -> None:
-    """Append what a thing takes, and what its materials take, before the thing itself; materials only as the goal."""
+    """Append what a thing requires and uses, recursively, before the thing itself; materials only as the goal."""
     recipe = RECIPES[name]
     for thing in (*recipe.takes, *(thing for material, _ in recipe.uses for thing in RECIPES[material].takes)):
         if thing not in order:

@@ -1,11 +1,11 @@
-"""Sokoban: a move into a box pushes it one cell, unless a wall or another box is behind it; each box belongs on a goal.
+"""Sokoban: a move into a box pushes it one cell, unless a wall or another box is behind it. Each box belongs on a goal.
 
-Rows of Boxoban's files and of other collections are read as they are, or the instance seed draws a level by playing it
-backwards. A box on a goal earns 1, one that leaves it -1, as in gym-sokoban; boxes against walls and in corners are
-dead ends. The state is a word of `BOX_BITS` a box: its cell on the map.
+Levels come from files in the format of Boxoban, from an explicit map, or from the instance seed, which draws a level by
+playing it backwards. A box pushed onto a goal has reward 1, a box pushed off a goal -1, as in gym-sokoban. Boxes in
+corners and along walls are dead ends. The state is a word of `BOX_BITS` per box: its cell on the map.
 
-Levels are written as those of Sokoban and of Boxoban (Guez et al. 2018): `#` wall, `@` the player, `$` a box, `.` a
-goal, `*` a box on a goal, `+` the player on a goal, anything else floor.
+Levels are written as in Sokoban and Boxoban (Guez et al. 2018): `#` wall, `@` the player, `$` a box, `.` a goal, `*` a
+box on a goal, `+` the player on a goal, anything else floor.
 """
 
 from __future__ import annotations
@@ -32,38 +32,38 @@ MOST_BOXES = 7
 PUSH_SIDES = {"east": (0, 1), "north": (-1, 0), "west": (0, -1), "south": (1, 0)}
 """Steps (row, column) to each side; rows count from the top."""
 _MOST_SEARCHED = 300_000
-"""States after which the search for the fewest moves gives up."""
+"""Largest number of states in the search for the fewest moves."""
 _GAMES, _PULLS = 10, 15
-"""Games that are played backwards from each drawn map, and pulls a box in each."""
+"""Number of games played backwards from each drawn map, and of pulls of a box in each."""
 _MOST_DRAWN = 1000
-"""Most levels drawn before a room configuration is given up."""
+"""Most levels drawn for a room configuration before an error is raised."""
 
 
 @dataclasses.dataclass(frozen=True)
 class SokobanConfig(PuzzleConfig):
-    """Room configuration of Sokoban; the room must have as many cells as its level without the outer walls."""
+    """Configuration of Sokoban. The room must have as many cells as its level without the outer walls."""
 
     kind = "sokoban"
     size: Annotated[int, Range(3, 14)] = 6
-    """Side of drawn levels, without the outer walls."""
+    """Side of generated levels, without the outer walls."""
     boxes: Annotated[int, Range(1, MOST_BOXES)] = 2
-    """Boxes of drawn levels."""
+    """Number of boxes in generated levels. More boxes make levels harder."""
     rows: tuple[str, ...] = ()
-    """An explicit level, such as one of Boxoban's."""
+    """An explicit level, such as a level of Boxoban."""
 
     def make_puzzle(self, rng: np.random.Generator) -> SokobanPuzzle:
-        """Draw a level, or take the given one without its outer walls."""
+        """Sample a level, or use the given one without its outer walls."""
         return SokobanPuzzle(tidy_level(self.rows) if self.rows else draw_level(self.size, self.boxes, rng))
 
 
 @dataclasses.dataclass(frozen=True)
 class SokobanPuzzle(Pushing, Modelled, Puzzle):
-    """A concrete level. Boxes are called `box-1`, ..., goals `goal-1`, ..., row by row."""
+    """A concrete level. Boxes are named `box-1`, ..., goals `goal-1`, ..., row by row."""
 
     kind = "sokoban"
     are_pads = True
     rows: tuple[str, ...] = ("@$.",)
-    """The level, without its outer walls where it has some."""
+    """The level, without its outer walls if it has some."""
 
     def check(self) -> None:
         """Check that the state fits into a word."""
@@ -77,7 +77,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @property
     def map_rows(self) -> tuple[str, ...]:
-        """The map: walls, floor, and the start, heading for +x."""
+        """Rows of the map: walls, floor, and the start with heading +x."""
         cells = ["#" if c == "#" else ">" if c in "@+" else " " for c in "".join(self.rows)]
         wide = self.level.columns
         return tuple("".join(cells[begin: begin + wide]) for begin in range(0, len(cells), wide))
@@ -89,17 +89,17 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Numbers of the goals: a box must stand on each."""
+        """Indices of the goals: each must have a box on it."""
         return tuple(range(len(self.level.boxes), 2 * len(self.level.boxes)))
 
     @property
     def target_cells(self) -> tuple[int, ...]:
-        """Cells in which the boxes stand at first, and those of the goals."""
+        """Initial cells of the boxes, then the cells of the goals."""
         return (*self.level.boxes, *self.level.goals)
 
     @property
     def blockable_cells(self) -> tuple[int, ...]:
-        """Cells that are no walls."""
+        """Cells that are not walls."""
         return self.level.floor
 
     @property
@@ -110,26 +110,26 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
     # --- states ------------------------------------------------------------------------
 
     def encode(self, cells: tuple[int, ...]) -> int:
-        """State with the boxes in these cells."""
+        """Return the state with the boxes in given cells."""
         return sum(cell << BOX_BITS * box for box, cell in enumerate(cells))
 
     def decode(self, state: int) -> tuple[int, ...]:
-        """Cell of each box."""
+        """Return the cell of each box."""
         return tuple(state >> BOX_BITS * box & (1 << BOX_BITS) - 1 for box in range(len(self.level.boxes)))
 
     def make_state(self) -> int:
-        """State with the boxes in their first cells."""
+        """Return the state with the boxes in their initial cells."""
         return self.encode(self.level.boxes)
 
     def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value gives every box a cell of the floor of its own."""
+        """Return whether an untrusted value is a state: each box in a floor cell of its own."""
         if type(state) is not int or not 0 <= state < 1 << BOX_BITS * len(self.level.boxes):
             return False
         cells = self.decode(state)
         return len(set(cells)) == len(cells) and set(cells) <= set(self.level.floor)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Push the box ahead into the cell beyond it, if that is free."""
+        """Push the box ahead into the cell beyond it, if that cell is free."""
         if contacts.grip != PUSH or contacts.ahead < 0 or contacts.beyond < 0:
             return state
         cells, floor = self.decode(state), self.level.floor
@@ -139,33 +139,33 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return self.encode(tuple(to if cell == box else cell for cell in cells))
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """1 for a box that comes onto a goal, -1 for one that leaves it."""
+        """Return 1 for each box pushed onto a goal, -1 for each pushed off."""
         return float(self._count_filled(after) - self._count_filled(before))
 
     def _count_filled(self, state: int) -> int:
         return len({*self.decode(state)}.intersection(self.level.goals))
 
     def get_shut(self, state: int) -> int:
-        """Bits of the cells in which boxes stand."""
+        """Return the bits of the cells with boxes."""
         return sum(1 << self.level.floor.index(cell) for cell in self.decode(state))
 
     def is_solved(self, state: int) -> bool:
-        """Return whether a box stands on every goal."""
+        """Return whether every goal has a box on it."""
         return self._count_filled(state) == len(self.level.goals)
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """Two numbers a box, row and column as shares of the map, then one a goal, 1 with a box on it."""
+        """Return row and column of each box as fractions of the map, then one number per goal, 1 with a box on it."""
         cells = self.decode(state)
         places = [divmod(cell, self.level.columns) for cell in cells]
         shares = [share for row, column in places for share in (row / len(self.rows), column / self.level.columns)]
         return (*shares, *(float(goal in cells) for goal in self.level.goals))
 
     def describe(self, state: int) -> tuple[str, ...]:
-        """Nothing: beyond the lights, `observe` shows only places."""
+        """Return no sentence: apart from the lights, `observe` shows only positions."""
         return ()
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Lit targets: boxes on goals, and goals with a box on them."""
+        """Return whether each target is lit: boxes on goals, and goals with a box on them."""
         cells, goals = self.decode(state), self.level.goals
         return (*(cell in goals for cell in cells), *(goal in cells for goal in goals))
 
@@ -180,23 +180,23 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return frozenset({f"filled(goal-{goals.index(cell) + 1})"}) if cell in goals else frozenset()
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`at(box,cell)` for every box, `filled(goal)` for every goal with a box on it."""
+        """Return `at(box,cell)` for every box, and `filled(goal)` for every goal with a box on it."""
         cells = self.decode(state)
         places = {self._write_place(box, cell) for box, cell in enumerate(cells)}
         return frozenset(places).union(*map(self._write_filled, cells))
 
     def make_contacts(self, operator: Operator) -> Contacts:
-        """Contacts of the move that carries out an operator."""
+        """Return the contacts of the move that executes an operator."""
         cell, to = self._model[1][operator.name]
         return Contacts((), grip=PUSH, ahead=self.level.floor.index(cell), beyond=self.level.floor.index(to))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator for each box, cell and side; the room plans how the player gets to the box."""
+        """Return the model: one operator per box, cell and side. The room plans the walk to the box."""
         return self._model[0]
 
     @cached_property
     def _model(self) -> tuple[SymbolicModel, dict[str, tuple[int, int]]]:
-        """The model, and for each operator the cells from which and to which it pushes its box."""
+        """The model, and the first and last cell of the box that each operator pushes."""
         level, boxes = self.level, range(len(self.level.boxes))
         operators, ends = list[Operator](), dict[str, tuple[int, int]]()
         for box, (number, side), cell in itertools.product(boxes, enumerate(PUSH_SIDES), level.floor):
@@ -215,11 +215,11 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return SymbolicModel((*places, *filled), tuple(operators), frozenset(filled)), ends
 
     def list_cells(self, state: int, action: str, target: int) -> tuple[int, ...]:
-        """Number of the cell in which the box of an operator stands now, as a tuple of one."""
+        """Return the index of the current cell of an operator's box, as a tuple of one."""
         return (self.level.floor.index(self.decode(state)[target]),)
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
-        """The pushes of a solution with the fewest moves, from the cell where the robot stands."""
+        """Return the pushes of a solution with the fewest moves from the robot's cell."""
         player = self.level.start if place < 0 else self.level.floor[place]
         found = list[Operator]()
         for shove in find_fewest_shoves(self.rows, player, frozenset(self.decode(state))) or ():
@@ -238,7 +238,7 @@ register_puzzle(SokobanConfig, SokobanPuzzle)
 
 
 class Shove(NamedTuple):
-    """A push: the cell that the box leaves, and the side to which it goes."""
+    """A push: the cell that the box leaves, and the side it moves to."""
 
     cell: int
     side: str
@@ -248,14 +248,14 @@ class BoxMap:
     """Cells of a level and their neighbours, without its boxes.
 
     Attributes:
-        columns: cells in a row.
-        floor: cells that are no walls.
-        boxes: cells of the boxes at first.
+        columns: number of cells in a row.
+        floor: cells that are not walls.
+        boxes: initial cells of the boxes.
         goals: cells of the goals.
-        start: cell of the player at first.
+        start: initial cell of the player.
 
     Raises:
-        ConfigError: rows of different lengths, not one player, or not as many boxes as goals.
+        ConfigError: rows differ in length, there is not exactly one player, or boxes and goals differ in number.
     """
 
     def __init__(self, rows: Sequence[str]) -> None:
@@ -265,9 +265,9 @@ class BoxMap:
             tuple(cell for cell, character in enumerate(text) if is_one(character))
             for is_one in (lambda c: c != "#", "$*".__contains__, ".*+".__contains__, "@+".__contains__))
         if len({len(row) for row in rows}) != 1 or len(players) != 1:
-            raise ConfigError("puzzle.rows", self.rows, "rows of one length, with one player (@ or +) among them")
+            raise ConfigError("puzzle.rows", self.rows, "rows of equal length with exactly one player (@ or +)")
         if not self.goals or len(self.boxes) != len(self.goals):
-            raise ConfigError("puzzle.rows", self.rows, "as many boxes ($ or *) as goals (. or *), and one at least")
+            raise ConfigError("puzzle.rows", self.rows, "as many boxes ($ or *) as goals (. or *), at least one")
         self.start = players[0]
         self._next = {cell: tuple(self._find_beside(text, cell, *step) for step in PUSH_SIDES.values())
                       for cell in self.floor}
@@ -280,11 +280,11 @@ class BoxMap:
         return beside if inside and text[beside] != "#" else -1
 
     def find_beside(self, cell: int, side: int) -> int:
-        """Neighbour of a cell, by the number of its side; -1 for a wall."""
+        """Return the neighbour of a cell on a side; -1 for a wall."""
         return self._next[cell][side]
 
     def measure_walks(self, begin: int, boxes: frozenset[int]) -> dict[int, int]:
-        """Moves of the player to each cell that can be reached without a push."""
+        """Return the number of moves of the player to each cell that is reachable without a push."""
         moves, queue = {begin: 0}, [begin]
         for here in queue:
             count = moves[here] + 1
@@ -295,7 +295,7 @@ class BoxMap:
         return moves
 
     def list_shoves(self, player: int, boxes: frozenset[int]) -> Iterator[tuple[Shove, int, frozenset[int]]]:
-        """Pushes that are possible, as (push, moves with it, boxes after it)."""
+        """Yield the possible pushes, as (push, moves with it, boxes after it)."""
         walks = self.measure_walks(player, boxes)
         for box in boxes:
             for side, name in enumerate(PUSH_SIDES):
@@ -304,7 +304,7 @@ class BoxMap:
                     yield Shove(box, name), walks[behind] + 1, boxes - {box} | {to}
 
     def measure_pushes(self) -> list[dict[int, int]]:
-        """For each goal, the pushes that bring a lone box there from each cell; none from dead cells."""
+        """Return, for each goal, the pushes that bring a single box there from each cell; dead cells are missing."""
         tables = []
         for goal in self.goals:
             pushes, queue = {goal: 0}, [goal]
@@ -326,11 +326,11 @@ def _get_map(rows: tuple[str, ...]) -> tuple[BoxMap, list[dict[int, int]]]:
 
 @lru_cache(maxsize=256)
 def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]) -> tuple[Shove, ...] | None:
-    """Pushes of a solution with the fewest moves, walks included; None if there is none.
+    """Return the pushes of a solution with the fewest moves, walks included, or None if there is none.
 
-    Player and boxes stand on the cells that are told, not where the rows have theirs. A* with the fewest pushes that
-    lone boxes need, each to a goal of its own. Boxes never enter cells from which no pushes lead to a goal. Beyond
-    10,000 states it continues greedily, so fewer moves may exist; beyond 300,000 it gives up.
+    `player` and `boxes` give the current cells. A* uses the fewest pushes of single boxes, each to its own goal, as
+    lower bound. Boxes never enter dead cells, which have no way to a goal. After 10,000 states the search continues
+    greedily, and fewer moves may exist; after 300,000 it stops and returns None.
     """
     level, pushes = _get_map(rows)
     goals = frozenset(level.goals)
@@ -348,8 +348,8 @@ def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]
 
 
 def _match(prices: list[list[float]]) -> float:
-    """Least sum of prices that gives each row a column of its own; infinity where there is none."""
-    from scipy.optimize import linear_sum_assignment  # only puzzles with boxes pay for this import
+    """Smallest sum of prices that assigns each row its own column; infinity if there is none."""
+    from scipy.optimize import linear_sum_assignment  # imported here because only puzzles with boxes need it
 
     try:
         rows, columns = linear_sum_assignment(prices)
@@ -362,10 +362,10 @@ def _match(prices: list[list[float]]) -> float:
 
 
 def read_boxoban(text: str) -> tuple[tuple[str, ...], ...]:
-    """Read a file of levels, as Boxoban's: rows, after a line that begins with `;` and the level's number.
+    """Read a file of levels in the format of Boxoban: rows, after a line with `;` and the number of the level.
 
     Raises:
-        ConfigError: there is no level in it.
+        ConfigError: the file contains no level.
     """
     levels, rows = list[tuple[str, ...]](), list[str]()
     for line in (*text.splitlines(), ";"):
@@ -375,12 +375,12 @@ def read_boxoban(text: str) -> tuple[tuple[str, ...], ...]:
             levels.append(tuple(rows))
             rows = []
     if not levels:
-        raise ConfigError("levels", text, "rows of # and other characters, as Boxoban's files have them")
+        raise ConfigError("levels", text, "rows of # and other characters, as in Boxoban's files")
     return tuple(levels)
 
 
 def tidy_level(rows: Sequence[str]) -> tuple[str, ...]:
-    """Rows of one length without the outer walls, which a room has of its own; what cannot be reached is wall."""
+    """Return rows of equal length without outer walls, which the room has itself; unreachable cells become walls."""
     wide = max(map(len, rows), default=0)
     square = tuple(row.ljust(wide) for row in rows)
     level = BoxMap(square)
@@ -388,19 +388,19 @@ def tidy_level(rows: Sequence[str]) -> tuple[str, ...]:
     kept = ["".join(c if row * wide + column in inside else "#" for column, c in enumerate(text))
             for row, text in enumerate(square)]
     if not {*level.boxes, *level.goals} <= inside.keys():
-        raise ConfigError("puzzle.rows", tuple(rows), "boxes and goals that the player could walk to")
+        raise ConfigError("puzzle.rows", tuple(rows), "boxes and goals that the player can reach")
     rows_used = [number for number, row in enumerate(kept) if row.strip("#")]
     columns_used = [number for number in range(wide) if any(row[number] != "#" for row in kept)]
     return tuple(row[columns_used[0]: columns_used[-1] + 1] for row in kept[rows_used[0]: rows_used[-1] + 1])
 
 
 def draw_level(side: int, boxes: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """Draw a level by playing backwards: boxes begin on goals and are pulled away as far as possible.
+    """Sample a level by playing backwards: boxes begin on goals and are pulled away as far as possible.
 
-    The side is that of the square of cells, without outer walls.
+    `side` is the number of cells along each side, without outer walls.
 
     Raises:
-        ConfigError: the cells are too few for the boxes.
+        ConfigError: there are too few cells for the boxes.
     """
     for _ in range(_MOST_DRAWN):
         cells = np.where(rng.random((side, side)) < 0.2, "#", " ")
@@ -418,7 +418,7 @@ def draw_level(side: int, boxes: int, rng: np.random.Generator) -> tuple[str, ..
 
 
 def _pull_away(level: BoxMap, rng: np.random.Generator) -> tuple[int, frozenset[int]]:
-    """Player and boxes after random pulls, where the boxes' distances from the goals were largest."""
+    """Player and boxes after the random pulls with the largest distances from the goals."""
     pushes, (best, farthest) = level.measure_pushes(), ((level.start, frozenset(level.boxes)), 0.0)
     for _ in range(_GAMES):
         player, boxes = level.start, frozenset(level.boxes)
@@ -440,7 +440,7 @@ def _pull_away(level: BoxMap, rng: np.random.Generator) -> tuple[int, frozenset[
 
 
 def _write(rows: Sequence[str], player: int, boxes: frozenset[int], goals: frozenset[int]) -> tuple[str, ...]:
-    """Rows of a level, from rows of walls and the places of boxes, goals and player."""
+    """Rows of a level, from rows of walls and the cells of boxes, goals and player."""
     columns, marks = len(rows[0]), {(False, False): " ", (True, False): "$", (False, True): ".", (True, True): "*"}
     text = [c if c == "#" else marks[cell in boxes, cell in goals] for cell, c in enumerate("".join(rows))]
     text[player] = "+" if player in goals else "@"

@@ -1,4 +1,4 @@
-"""Symbolic models of puzzles for planners; a puzzle without one of its own gets a `DerivedModel` (`base.py`)."""
+"""Symbolic models of puzzles for planners. Puzzles without their own model get a `DerivedModel` (`base.py`)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hrl_escape.search import find_cheapest_steps
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """A conditional effect of an operator: what it adds and deletes where a condition holds before it."""
+    """A conditional effect of an operator: facts to add and delete if a condition holds before it."""
 
     condition: frozenset[str]  # propositions that must hold
     forbidden: frozenset[str] = frozenset()  # propositions that must not hold
@@ -23,23 +23,23 @@ class Effect:
 
 @dataclasses.dataclass(frozen=True)
 class Operator:
-    """One symbolic action: a STRIPS operator over propositions, with conditional effects where it has some.
+    """A symbolic action: a STRIPS operator over propositions, with optional conditional effects.
 
-    Of a random puzzle, the effects are those of the most likely outcome.
+    For a random puzzle, the effects belong to the most likely outcome.
 
     Attributes:
         name: verb phrase, such as `press-button-2`.
         target: name of the target or prop it acts on.
-        action: what to do with it: `press` a target, `grip` or `release` while touching it (in a puzzle with a map,
-            from the cell before it, and `use`, or `push-east` and so on for one cell), or `push` a prop to
-            `destination`.
+        action: what to do with the target: `press` it; `grip` or `release` while touching it; `push` a prop to
+            `destination`. On a map, `grip`, `release` and `use` act from the cell before the target, and `push-east`
+            and so on push it by one cell.
         preconditions: propositions that must hold.
         forbidden: propositions that must not hold.
         add: propositions made true.
         delete: propositions made false.
         destination: name of the prop that `target` is pushed onto, if `action` is `push`.
-        when: conditional effects, on top of `add` and `delete`.
-        cost: price of the operator for planners that count no primitives, such as PDDL's.
+        when: conditional effects, in addition to `add` and `delete`.
+        cost: cost of the operator in planners that do not count primitives, such as PDDL planners.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Operator:
     cost: float = 1.0
 
     def is_applicable(self, facts: frozenset[str]) -> bool:
-        """Return whether the operator is applicable where `facts` hold."""
+        """Return whether the operator is applicable in a state with the given facts."""
         return self.preconditions <= facts and not self.forbidden & facts
 
     def apply(self, facts: frozenset[str]) -> frozenset[str]:
@@ -65,7 +65,7 @@ class Operator:
 
     @cached_property
     def _when_by_fact(self) -> dict[str | None, list[Effect]]:
-        """Conditional effects by one fact of their condition (None: no condition), so that few are examined."""
+        """Conditional effects by one fact of their condition (None: no condition), which reduces the checks."""
         table: dict[str | None, list[Effect]] = {}
         for effect in self.when:
             table.setdefault(min(effect.condition, default=None), []).append(effect)
@@ -73,21 +73,21 @@ class Operator:
 
     @property
     def may_add(self) -> frozenset[str]:
-        """Propositions that the operator makes true under some condition."""
+        """Propositions that the operator can make true."""
         return self.add.union(*(effect.add for effect in self.when))
 
     @property
     def may_change(self) -> frozenset[str]:
-        """Propositions that the operator changes under some condition."""
+        """Propositions that the operator can change."""
         return self.may_add.union(self.delete, *(effect.delete for effect in self.when))
 
     @property
     def reads(self) -> frozenset[str]:
-        """Propositions that decide whether the operator is applicable and what it does."""
+        """Propositions that decide whether the operator is applicable and what its effects are."""
         return self.preconditions.union(self.forbidden, *(e.condition | e.forbidden for e in self.when))
 
     def relax(self, reached: frozenset[str]) -> frozenset[str]:
-        """Propositions that the operator can add once all of `reached` have held, with deletions ignored."""
+        """Return the propositions that the operator can add once all of `reached` have held, ignoring deletions."""
         if not self.preconditions <= reached:
             return frozenset()
         return self.add.union(*(effect.add for effect in self.when if effect.condition <= reached))
@@ -95,23 +95,23 @@ class Operator:
 
 @dataclasses.dataclass(frozen=True)
 class SymbolicModel:
-    """A puzzle as planners see it: propositions, operators, and the facts that solve it."""
+    """Symbolic model of a puzzle: propositions, operators, and the facts that solve it."""
 
     propositions: tuple[str, ...]
     operators: tuple[Operator, ...]
     goal: frozenset[str]
 
     def find_fewest(self, facts: frozenset[str]) -> tuple[Operator, ...] | None:
-        """Find the fewest operators that make the goal true from here, breadth first; None if there are none."""
+        """Return the fewest operators that make the goal true, by breadth-first search, or None if there are none."""
         return find_cheapest_steps(
             facts, lambda here: self.goal <= here,
             lambda here: ((op, 1, op.apply(here)) for op in self.operators if op.is_applicable(here)), lambda here: 0)
 
 
 class Modelled(ABC):
-    """Base of puzzles with a symbolic model of their own."""
+    """Base class of puzzles with their own symbolic model."""
 
-    if TYPE_CHECKING:  # the puzzle's own
+    if TYPE_CHECKING:  # defined by the puzzle
         @property
         def target_names(self) -> tuple[str, ...]:
             """Names of the targets."""
@@ -119,38 +119,38 @@ class Modelled(ABC):
 
     @property
     def has_dead_ends(self) -> bool:
-        """True if some presses lead to states from which the puzzle can no longer be solved."""
+        """True if presses can make the puzzle unsolvable."""
         return False
 
     @abstractmethod
     def make_symbolic_model(self) -> SymbolicModel:
-        """Return the model; it is the same at every call."""
+        """Return the model, which is the same in every call."""
 
     def find_model(self, state: Any) -> SymbolicModel | None:
-        """Return the model of a state in which things lie elsewhere than at first and have other ways, else None.
+        """Return the model of a state where things have moved and have other ways, or None.
 
-        Operators keep their names and effects there; those that no way leads to are left out.
+        Operators keep their names and effects. Operators whose target is unreachable are omitted.
         """
         return None
 
     @abstractmethod
     def get_facts(self, state: Any) -> frozenset[str]:
-        """Propositions of the model that hold.
+        """Return the propositions of the model that hold in a state.
 
         Raises:
-            ConfigError: the model knows no such state.
+            ConfigError: the state is not part of the model.
         """
 
     def make_contacts(self, operator: Operator) -> Contacts:
-        """Contacts of the primitive that carries out an operator at a target, by the most likely outcome."""
+        """Return the contacts of the primitive that executes an operator, for the most likely outcome."""
         target = self.target_names.index(operator.target)
         if operator.action == "press":
             return Contacts((target,), touching=(target,))
         return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
 
     def plan(self, state: Any, place: int = -1) -> tuple[Operator, ...] | None:
-        """Return the operators that solve the puzzle from here; None leaves this to a search.
+        """Return operators that solve the puzzle from a state, or None to leave this to a search.
 
-        `place` is the number of the inner door in whose cell the robot stands, on a map; -1 where there is none.
+        On a map, `place` is the index of the inner door at the robot's cell; -1 if there is none.
         """
         return None

@@ -1,9 +1,9 @@
 """Taxi (Dietterich 2000): fetch the passenger at one of four depots, and set them down at another.
 
-The depots are pads on the floor; gripping on the passenger's pad picks them up, releasing on any pad sets them down.
-Gripping and releasing in vain costs 10. A fickle passenger changes the destination with some probability on the first
-ride of one cell. Each of the twelve pairs of depot and destination may begin an episode. The state is (passenger,
-destination, has settled, is delivered) as a number.
+The depots are pads on the floor. `grip` on the passenger's pad picks them up, `release` on any pad sets them down.
+`grip` and `release` without effect cost 10. A fickle passenger may change the destination on the first ride of one
+cell. Episodes begin with any of the twelve pairs of depot and destination. The state encodes (passenger, destination,
+has settled, is delivered) as an integer.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ DEPOTS = ("red", "green", "yellow", "blue")
 RIDING = len(DEPOTS)
 """Place of a passenger in the taxi; depots are places 0 to 3."""
 REFUSED = -9.0
-"""Reward of gripping or releasing in vain, on top of a primitive's."""
+"""Reward of `grip` or `release` without effect, in addition to the reward of a primitive."""
 
 Fickleness = Annotated[float, Range(0, 1, open_high=True)]
 
@@ -27,15 +27,15 @@ Fickleness = Annotated[float, Range(0, 1, open_high=True)]
 class Ride(NamedTuple):
     """Decoded state of the puzzle."""
 
-    passenger: int  # number of a depot, or `RIDING`
-    destination: int  # number of a depot
-    settled: bool = False  # the passenger will not change the destination any more
-    delivered: bool = False  # the passenger has arrived at the destination
+    passenger: int  # index of a depot, or `RIDING`
+    destination: int  # index of a depot
+    settled: bool = False  # whether the destination is final
+    delivered: bool = False  # whether the passenger has arrived
 
 
 @dataclasses.dataclass(frozen=True)
 class TaxiConfig(PuzzleConfig):
-    """Room configuration of Taxi, whose depots are pads."""
+    """Configuration of Taxi, whose depots are pads."""
 
     kind = "taxi"
     fickleness: Fickleness = 0.0
@@ -46,7 +46,7 @@ class TaxiConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class TaxiPuzzle(Modelled, Puzzle):
-    """A concrete ride; the depots are called `red`, `green`, `yellow` and `blue`."""
+    """A concrete ride. The depots are named `red`, `green`, `yellow` and `blue`."""
 
     kind = "taxi"
     fixed_names = DEPOTS
@@ -56,30 +56,30 @@ class TaxiPuzzle(Modelled, Puzzle):
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """Bounds of the four outcomes of a first ride: no change, or a change to one of the three other depots."""
+        """Thresholds of the four outcomes of a first ride: no change, or a change to one of the other three depots."""
         share = self.fickleness / (RIDING - 1)
         return tuple(1.0 - self.fickleness + turn * share for turn in range(RIDING - 1)) if self.fickleness else ()
 
     @property
     def is_watching(self) -> bool:
-        """True if the passenger is fickle: the first ride of one cell may then be any move."""
+        """True if the passenger is fickle: any move can be the first ride of one cell."""
         return self.fickleness > 0.0
 
     def encode(self, ride: Ride) -> int:
-        """Encode a ride as a state."""
+        """Return the state of a ride."""
         return ride.passenger | ride.destination << 3 | ride.settled << 5 | ride.delivered << 6
 
     def decode(self, state: int) -> Ride:
-        """Decode a state into a ride."""
+        """Return the ride of a state."""
         return Ride(state & 7, state >> 3 & 3, bool(state >> 5 & 1), bool(state >> 6 & 1))
 
     def list_starts(self) -> tuple[int, ...]:
-        """List the twelve states in which the passenger waits at one depot and wants to go to another."""
+        """List the twelve initial states, with the passenger at one depot and another depot as destination."""
         return tuple(self.encode(Ride(passenger, destination)) for passenger in range(RIDING)
                      for destination in range(RIDING) if passenger != destination)
 
     def make_state(self) -> int:
-        """State of the first pair of depot and destination."""
+        """Return the state of the first pair of depot and destination."""
         return self.list_starts()[0]
 
     def is_state(self, state: Any) -> bool:
@@ -106,32 +106,32 @@ class TaxiPuzzle(Modelled, Puzzle):
         return self.encode(ride)
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """`REFUSED` for a grip or release without effect, else 0."""
+        """Return `REFUSED` for a `grip` or `release` without effect, otherwise 0."""
         return REFUSED if contacts.grip and after == before else 0.0
 
     def is_solved(self, state: int) -> bool:
-        """Return whether the passenger has been delivered."""
+        """Return whether the passenger was delivered."""
         return self.decode(state).delivered
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number for each place of the passenger, the taxi last, then one for each destination."""
+        """Return one number per place of the passenger, the taxi last, then one per destination."""
         ride = self.decode(state)
         return tuple(float(ride.passenger == place) for place in range(RIDING + 1)) + tuple(
             float(ride.destination == depot) for depot in range(RIDING))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Return for each depot whether it is the destination."""
+        """Return whether each depot is the destination."""
         return tuple(depot == self.decode(state).destination for depot in range(RIDING))
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`waits(depot)` or `riding`, `to(depot)`, and `delivered`."""
+        """Return `waits(depot)` or `riding`, `to(depot)`, and `delivered`."""
         ride = self.decode(state)
         facts = {"riding" if ride.passenger == RIDING else f"waits({DEPOTS[ride.passenger]})",
                  f"to({DEPOTS[ride.destination]})"}
         return frozenset(facts | ({"delivered"} if ride.delivered else set()))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """For each depot: pick up there, and put down at the destination there."""
+        """Return the model: one operator per depot to pick up there, and one to set down at the destination there."""
         operators = []
         delivered, riding = frozenset({"delivered"}), frozenset({"riding"})
         for depot in DEPOTS:

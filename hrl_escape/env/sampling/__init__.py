@@ -1,1 +1,1 @@
-"""Sampling of room instances from a room configuration, with a certificate that each can be solved."""
+"""Sampling of room instances from a room configuration, with a certificate that each is solvable."""

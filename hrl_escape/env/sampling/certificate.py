@@ -1,11 +1,11 @@
 """Certificate of a room's geometry: the start, a touching place for each target, and the exit are connected.
 
-It stands on a conservative grid over the floor. Two neighbouring free cells are joined by a straight move that exactly
-keeps the clearance and some slack, so cells connected in the grid are connected in the room. Operations are counted
-against a budget of work, so that sampling ends after the same work on every machine.
+It uses a conservative grid over the floor. A straight move that keeps the clearance and some slack joins two
+neighbouring free cells. Cells connected in the grid are therefore connected in the room. Operations are counted against
+a budget, which ends sampling after the same amount of work on every machine.
 
-For a rectangular base it is that of the largest disc within its outline; the search of `primitive_proof.py` then
-proves the room for the rectangle itself.
+For a rectangular base the certificate covers the largest disc inside its outline. The search in `primitive_proof.py`
+then proves the room for the rectangle itself.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target, does
 from hrl_escape.env.robot import make_robot, sample_hand_positions
 from hrl_escape.env.sampling.floorplan import Rejected
 
-_ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
-_ENOUGH = 3  # neighbouring places that must touch a target
+_ARM_THICKNESS = 0.1  # m, around the line through an arm's joints
+_ENOUGH = 3  # number of neighbouring places that must touch a target
 
 
 # --- free space ----------------------------------------------------------------------------
 
 
 class OutOfWork(Exception):
-    """The budget is spent."""
+    """The budget of work is spent."""
 
 
 class Work:
-    """Counter of work against a limit, in units of about a microsecond on one core; `done` are spent."""
+    """Counter of work against a limit, in units of about a microsecond on one core. `done` is the spent work."""
 
     def __init__(self, limit: float) -> None:
         self.limit, self.done = limit, 0.0
@@ -67,10 +67,10 @@ class FreeSpace:
     Attributes:
         radius: body radius plus clearance, m.
         resolution: cell size, m.
-        grid: its cells.
-        free: those in which the body fits, shape (columns, rows), bool.
-        work: budget to which its queries are charged.
-        labels: shape (columns, rows), int32; connected cells share a positive number.
+        grid: grid over the floor.
+        free: cells where the body fits, bool (columns, rows).
+        work: budget for queries.
+        labels: number of each cell's connected part, int32 (columns, rows); 0 for cells that are not free.
     """
 
     def __init__(self, reach_x: float, reach_y: float, body_radius: float, solids: Sequence[Solid],
@@ -85,7 +85,7 @@ class FreeSpace:
         self._add(solids)
 
     def extend(self, solids: Sequence[Solid]) -> FreeSpace:
-        """Return the floor with more solids on it; this one does not change."""
+        """Return the free space with more solids on the floor; this object does not change."""
         other = copy.copy(self)
         other.free, other.footprints = self.free.copy(), list(self.footprints)
         other._add(solids)
@@ -103,17 +103,17 @@ class FreeSpace:
         self.labels = label_parts(self.free, corners=False)
 
     def find_cell(self, x: float, y: float) -> tuple[int, int]:
-        """Cell of a place; for a place off the grid, the nearest cell at its rim."""
+        """Return the cell of a point, or the nearest cell at the edge for a point outside the grid."""
         i, j = int((x - self._low[0]) / self.resolution), int((y - self._low[1]) / self.resolution)
         return min(max(i, 0), self.free.shape[0] - 1), min(max(j, 0), self.free.shape[1] - 1)
 
     def get_cells(self, label: int) -> NDArray[np.int_]:
-        """Cells (n, 2) of a connected part."""
+        """Return the cells (n, 2) of a connected part."""
         self.work.spend(self.free.size / 50)
         return np.argwhere(self.labels == label)
 
     def get_cells_near(self, label: int, x: float, y: float, distance: float) -> NDArray[np.int_]:
-        """Cells (n, 2) of a connected part within a square round a place, in the order of `get_cells`."""
+        """Return the cells (n, 2) of a connected part in a square around a point, in the order of `get_cells`."""
         low = ((np.array([x, y]) - distance - self._low) / self.resolution).astype(int) - 1
         high = ((np.array([x, y]) + distance - self._low) / self.resolution).astype(int) + 2
         low = low.clip(0)
@@ -122,7 +122,7 @@ class FreeSpace:
         return np.argwhere(part == label) + low
 
     def is_clear(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return true where the body fits exactly, one value for each of the points (n, 2)."""
+        """Return whether the body fits exactly at each of the points (n, 2)."""
         if not len(points):
             return np.zeros(0, dtype=bool)
         (x, y), reach = points.mean(axis=0), np.ptp(points, axis=0)
@@ -131,7 +131,7 @@ class FreeSpace:
         return compute_distance_many(points, self._neighbourhood.shapes[near]) >= self.radius - 1e-9
 
     def find_labels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        """`find_label` of many positions (n, 2); those in the middle of free cells are looked up at once."""
+        """Return `find_label` of many points (n, 2); points in the middle of free cells are looked up at once."""
         cells = ((points - self._low) / self.resolution).astype(int).clip(0, np.array(self.free.shape) - 1)
         is_centre = (self.grid.get_centres(cells) == points).all(axis=1) & self.free[cells[:, 0], cells[:, 1]]
         labels = np.where(is_centre, self.labels[cells[:, 0], cells[:, 1]], 0).astype(np.int32)
@@ -140,15 +140,15 @@ class FreeSpace:
         return labels
 
     def find_label(self, x: float, y: float) -> int:
-        """Part of the floor that a free position belongs to; 0 if it is not free or linked to none.
+        """Return the connected part of a free position; 0 if it is not free or has no link.
 
-        A position is linked if a straight move that keeps the clearance leads to a free cell.
+        A position has a link if a straight move that keeps the clearance leads to a free cell.
         """
         cell = self.find_link(x, y)
         return 0 if cell is None else int(self.labels[cell])
 
     def find_link(self, x: float, y: float) -> tuple[int, int] | None:
-        """Free cell that a free position is linked to, the nearest; None if there is none."""
+        """Return the nearest free cell that a free position has a link to, or None if there is none."""
         self.work.spend(200)
         at = ((np.array([x, y]) - self._low) / self.resolution).astype(int)
         span = 3 + math.ceil((PASSAGE_SLACK + 0.3) / self.resolution)
@@ -177,7 +177,7 @@ class FreeSpace:
 
 
 class Approach(NamedTuple):
-    """A place from which a target is touched, and the free cell that a straight move leads to."""
+    """A place that touches a target, and the free cell that a straight move leads to."""
 
     x: float
     y: float
@@ -185,15 +185,15 @@ class Approach(NamedTuple):
 
 
 class Floors(NamedTuple):
-    """Free space with the exit door shut, and with it open (the same where there is no door)."""
+    """Free space with the exit door shut, and with it open (equal if there is no door)."""
 
     shut: FreeSpace  # with the door shut
     opened: FreeSpace  # with it open
     touches: dict[int, list[Approach]]
-    """Places found so far from which each target is touched, without those that obstacles have blocked."""
+    """Known places that touch each target, without those that obstacles have blocked."""
 
     def extend(self, solids: Sequence[Solid]) -> Floors:
-        """The same floors with more solids on them."""
+        """Return the same floors with more solids."""
         shut = self.shut.extend(solids)
         touches = {target: [link for link in links if shut.keeps_link(*link, solids)]
                    for target, links in self.touches.items()}
@@ -201,15 +201,15 @@ class Floors(NamedTuple):
 
 
 def make_floors(instance: RoomInstance, work: Work | None = None) -> Floors:
-    """Free space of a room."""
+    """Compute the free space of a room."""
     opened = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.inner_radius, instance.solids, work)
     return Floors(opened.extend((instance.door,)) if instance.door else opened, opened, {})
 
 
 def find_unmet(instance: RoomInstance, floors: Floors) -> str | None:
-    """Name the part of the geometric certificate that a room breaks; None if it holds.
+    """Return the part of the geometric certificate that a room fails, or None if it holds.
 
-    It demands connected floor for start, touching and exit, and under physics an arm that is not stuck in a wall.
+    Start, touching places and exit must be connected. Under physics the arm must also be clear of walls at the start.
     """
     shut, opened, touches = floors
     labels = set(shut.find_labels(np.array([(start.x, start.y) for start in instance.starts])).tolist())
@@ -240,7 +240,7 @@ def _points_in(area: Rectangle) -> list[tuple[float, float]]:
 
 
 def has_arm_free(instance: RoomInstance, start: Start) -> bool:
-    """Return whether the arm at home is clear of everything; without physics, arms pass through everything."""
+    """Return whether the arm at home is clear of all solids. Without physics, arms pass through solids."""
     if instance.dynamics.kind != "physics" or not instance.robot.joints:
         return True
     robot = make_robot(instance.robot)
@@ -260,7 +260,7 @@ def has_arm_free(instance: RoomInstance, start: Start) -> bool:
 
 def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace, label: int,
                        known: list[Approach]) -> bool:
-    """Search round the target for a few neighbouring places that all touch it; `known` are tried first."""
+    """Search around the target for a few neighbouring places that all touch it, first among `known`."""
     if sum(int(space.labels[link.cell]) == label for link in known) >= _ENOUGH:
         return True
     reach = instance.compute_press_reach(target)
@@ -280,7 +280,7 @@ def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace,
 
 
 def _outline(target: Target, distance: float) -> NDArray[np.float64]:
-    """Points at a distance round a target's footprint, at most 0.1 m (or 1/200 of it) apart."""
+    """Points at a distance around a target's footprint, at most 0.1 m (or 1/200 of it) apart."""
     spacing = max(0.1, 4 * (target.half_x + target.half_y + distance) / 200)
     points = []
     for sign_x, sign_y, along_x in ((1, 1, True), (1, -1, True), (1, 1, False), (-1, 1, False)):
@@ -296,7 +296,7 @@ def _outline(target: Target, distance: float) -> NDArray[np.float64]:
 
 
 def _fill(target: Target, share: float) -> NDArray[np.float64]:
-    """Points spread over a share of a pad's extent."""
+    """Points spread over a fraction of a pad's area."""
     sides = np.linspace(-share, share, 5)
     points = np.stack(np.meshgrid(sides * target.half_x, sides * target.half_y), axis=-1).reshape(-1, 2)
     cos, sin = math.cos(target.yaw), math.sin(target.yaw)

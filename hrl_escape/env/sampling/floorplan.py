@@ -1,6 +1,6 @@
 """Walls: the outer rectangle, interior walls with doorways, and the alcove behind an exit door.
 
-Pure functions of a generator; returns solids and the wall faces on which panels can hang.
+All functions are pure given a random generator. They return solids and the wall faces where panels can hang.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from hrl_escape.env.puzzles.mixins import Mapped, get_mixin
 
 
 class Rejected(Exception):
-    """The sample breaks a constraint that another sample may meet; the message names it."""
+    """The sample violates a constraint that another sample may satisfy; the message names it."""
 
 
 class Face(NamedTuple):
-    """A stretch of wall seen from inside: from (x, y), `length` along direction `yaw`; the room lies to the left."""
+    """A stretch of wall seen from inside: from (x, y), `length` along direction `yaw`. The room is on its left."""
 
     x: float
     y: float
@@ -33,7 +33,7 @@ class Face(NamedTuple):
 
 
 class Doorway(NamedTuple):
-    """Gap in an interior wall: the door that would fill it, and the numbers of the two rooms that it joins."""
+    """Gap in an interior wall: the door that would fill it, and the indices of the two rooms that it joins."""
 
     door: Solid
     rooms: tuple[int, int]
@@ -51,10 +51,10 @@ class Floorplan(NamedTuple):
 
 
 def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzle) -> Floorplan:
-    """Sample walls and exit of a room configuration; a puzzle's map gives the walls and perhaps the exit.
+    """Sample walls and exit of a room configuration. The map of a puzzle defines the walls and possibly the exit.
 
     Raises:
-        Rejected: interior walls or exit found no place in this sample.
+        Rejected: interior walls or exit do not fit in this sample.
     """
     half_x, half_y = config.room.width / 2, config.room.depth / 2
     sides = (Face(-half_x, -half_y, 0.0, 2 * half_x), Face(half_x, -half_y, math.pi / 2, 2 * half_y),
@@ -73,7 +73,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     elif config.exit.place == "fixed":
         exit_area = _rectangle(config.exit.x, config.exit.y, config.exit.width / 2, config.exit.depth / 2)
         if is_whole_floor(config, exit_area):
-            exit_area = _rectangle(0.0, 0.0, half_x, half_y)  # an exit on the whole floor ends at the floor's edge
+            exit_area = _rectangle(0.0, 0.0, half_x, half_y)  # an exit on the whole floor ends at the edge of the floor
     else:
         exit_area = _place_exit(config, rng)
     solids: list[Solid] = []
@@ -96,7 +96,7 @@ def is_whole_floor(config: RoomConfig, area: Rectangle) -> bool:
 
 
 def _find_joined(door: Solid, rooms: tuple[Rectangle, ...]) -> tuple[int, int]:
-    """Numbers of the rooms on both sides of a doorway."""
+    """Indices of the rooms on both sides of a doorway."""
     beyond = door.half_y + 0.05
     x, y = -math.sin(door.yaw) * beyond, math.cos(door.yaw) * beyond
     one, other = (next(n for n, room in enumerate(rooms) if room.contains(door.x + sign * x, door.y + sign * y))
@@ -105,7 +105,7 @@ def _find_joined(door: Solid, rooms: tuple[Rectangle, ...]) -> tuple[int, int]:
 
 
 def _build_map(config: RoomConfig, rows: tuple[str, ...]) -> list[Solid]:
-    """Walls of a map: one box for each run of cells in a row."""
+    """Walls of a map: one box for each run of wall cells in a row."""
     room, solids = config.room, []
     for row, text in enumerate(rows):
         y, column = room.depth / 2 - (row + 0.5) * room.cell, 0
@@ -119,14 +119,13 @@ def _build_map(config: RoomConfig, rows: tuple[str, ...]) -> list[Solid]:
 
 
 def compute_cell(config: RoomConfig, cell: int) -> tuple[float, float]:
-    """Centre of a cell of the floor, m; cells are numbered row by row from the top."""
+    """Return the centre of a cell of the floor, m; cells are numbered row by row from the top."""
     side = config.room.cell
     row, column = divmod(cell, round(config.room.width / side))
     return (column + 0.5) * side - config.room.width / 2, config.room.depth / 2 - (row + 0.5) * side
 
 
 def _build_walls(config: RoomConfig) -> list[Solid]:
-    """Make the explicit walls, as thick as all others."""
     half, solids = config.room.wall_thickness / 2, []
     for wall in config.room.walls:
         along = math.hypot(wall.to_x - wall.x, wall.to_y - wall.y) / 2
@@ -152,7 +151,7 @@ def _cut(low: float, high: float, gap: tuple[float, float] | None) -> list[tuple
 
 
 def _wall_piece(config: RoomConfig, side: Face, low: float, high: float) -> Solid:
-    """A wall box behind the stretch [low, high] of an outer wall; the last ones fill the corners, too."""
+    """A wall box behind the stretch [low, high] of an outer wall; the last ones also fill the corners."""
     thickness = config.room.wall_thickness
     extra_low = thickness if low <= 0.0 else 0.0
     extra_high = thickness if high >= side.length else 0.0
@@ -162,7 +161,7 @@ def _wall_piece(config: RoomConfig, side: Face, low: float, high: float) -> Soli
 
 
 def _choose_gate(config: RoomConfig, sides: tuple[Face, ...], rng: np.random.Generator) -> tuple[int, float]:
-    """Outer wall and place along it where the exit door stands."""
+    """Outer wall of the exit door, and its position along the wall."""
     half = config.exit.width / 2
     if config.exit.place == "fixed":
         x, y = config.exit.x, config.exit.y
@@ -179,10 +178,10 @@ def _choose_gate(config: RoomConfig, sides: tuple[Face, ...], rng: np.random.Gen
 
 
 def _make_alcove(config: RoomConfig, side: Face, at: float) -> tuple[Rectangle, Solid, list[Solid]]:
-    """Exit rectangle behind the wall, the door in the wall, and the alcove's walls."""
+    """Exit rectangle behind the wall, the door in the wall, and the walls of the alcove."""
     half, depth, thick = config.exit.width / 2, config.exit.depth, config.room.wall_thickness
     height = config.room.wall_height
-    # the body's axis must be able to stand inside: the alcove is a body radius deeper than the exit
+    # The body's axis must fit inside the exit: the alcove is deeper by the radius of the body.
     deep = thick + depth + config.robot.outer_radius + CONTACT_SKIN
     door_x, door_y = _along(side, at, -thick / 2)
     door = Solid("box", door_x, door_y, half, thick / 2, side.yaw, height, "door")
@@ -224,7 +223,7 @@ def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], 
     thick, gap = config.room.wall_thickness, config.room.doorway_width
     smallest = gap + 2 * thick + 0.2
     rooms = [(-half_x, half_x, -half_y, half_y)]
-    openings = []  # (x_min, x_max, y_min, y_max) floor that no wall may end in
+    openings = []  # (x_min, x_max, y_min, y_max) of floor where no wall may end
     clear = config.robot.outer_radius + CONTACT_SKIN + 0.1
     for number, (low, high) in gates.items():
         corners = [_along(sides[number], low, -clear), _along(sides[number], high, 2 * clear)]
@@ -267,7 +266,7 @@ def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], 
 
 def _find_cut(room: tuple[float, float, float, float], smallest: float, thick: float, gap: float, clear: float,
               openings: list[tuple[float, ...]], rng: np.random.Generator) -> tuple[bool, float, float] | None:
-    """(wall runs along y, its coordinate, centre of its doorway), or None if the room is too small."""
+    """(whether the wall runs along y, its coordinate, centre of its doorway), or None if the room is too small."""
     x_min, x_max, y_min, y_max = room
     wide, deep = x_max - x_min, y_max - y_min
     for _ in range(20):

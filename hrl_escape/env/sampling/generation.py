@@ -1,13 +1,13 @@
 """Sampling: `generate(config, seed)` is a pure function from a room configuration to a solvable instance.
 
-A sample is kept only if its certificate holds: the start, a place from which each target is touched, and the exit are
-connected for the robot's body, with the exit door shut until the end, and primitives solve the room
+A sample is accepted if its certificate holds. The start, a touching place for each target, and the exit must be
+connected for the robot's body, with the exit door shut until the end, and primitives must solve the room
 (`primitive_proof.py`). If no sample passes within a bounded number of tries and a bounded amount of work,
-`GenerationError` says what failed.
+`GenerationError` names the failure.
 
-Of doors between rooms, an order in which the puzzle opens them is drawn first. They are then hung outwards from the
-room of the starts in that order, and a target is allowed in the rooms that are open by the time the order needs it: so
-the order escapes. Doorways join the rooms to a tree, so that one way, with the same doors for all, leads to each room.
+With doors between rooms, an order of opening them is drawn first. Doors are then placed outwards from
+the room of the starts in that order. A target is only placed in rooms that are open by the time the order needs it, and
+the order therefore solves the room. Doorways join the rooms to a tree: one way, with fixed doors, leads to each room.
 """
 
 from __future__ import annotations
@@ -55,21 +55,21 @@ from hrl_escape.settings import fill_ranges, list_ranges
 
 TRIES = 30
 LARGEST_WORK = 1_600_000
-"""Work that a room may cost, in units of about a microsecond."""
+"""Largest amount of work for a room, in units of about a microsecond."""
 KEPT_ROOMS = 64
-"""Rooms that are kept for whoever asks for one of them again."""
+"""Number of recent rooms in the cache."""
 _START_TRIES = 100
 _THING_HEIGHT = 0.4  # m, height of a thing in a cell
-_PAD_HEIGHT = 0.02  # m, half the height of a pad over the floor
+_PAD_HEIGHT = 0.02  # m, half the height of a pad above the floor
 _ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
 
 
 def generate(config: RoomConfig, seed: int) -> RoomInstance:
-    """Sample a solvable room instance, or give one that was sampled a short while ago.
+    """Sample a solvable room instance, or return a recent one from the cache.
 
     Args:
         config: the room configuration.
-        seed: instance seed, >= 0. The same config and seed give the same instance.
+        seed: instance seed, >= 0. Equal configurations and seeds give equal instances.
 
     Raises:
         GenerationError: no solvable room within a bounded number of tries.
@@ -79,14 +79,14 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
     seed = check_instance_seed(seed)
     try:
         hash(config)
-    except TypeError:  # a stranger's settings may hold a table
+    except TypeError:  # settings of other packages may contain unhashable tables
         return _sample_room.__wrapped__(config, seed)
     return _sample_room(config, seed)
 
 
 @functools.lru_cache(KEPT_ROOMS)
 def _sample_room(config: RoomConfig, seed: int) -> RoomInstance:
-    """The first sample whose certificate holds."""
+    """First sample whose certificate holds."""
     frame = make_frame(config)
     config, puzzle = sample_puzzle(config, seed)
     constraint, work = "a room must be found with a bounded amount of work", Work(LARGEST_WORK)
@@ -107,7 +107,7 @@ def _sample_room(config: RoomConfig, seed: int) -> RoomInstance:
 def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
     """Sample the numbers and the puzzle of an instance, in a fraction of the time of `generate`.
 
-    Returns the room configuration with numbers in place of ranges, and the instance's puzzle.
+    Returns the room configuration with numbers instead of ranges, and the instance's puzzle.
     """
     rng = np.random.default_rng([seed, 2])
     config = fill_ranges(config, {path: _draw(between.low, between.high, rng)
@@ -116,17 +116,17 @@ def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
 
 
 def _draw(low: float, high: float, rng: np.random.Generator) -> float:
-    """Draw a number from a range, uniformly, ends included."""
+    """Draw a number from a range uniformly, ends included."""
     if isinstance(low, int) and isinstance(high, int):
         return int(rng.integers(low, high, endpoint=True))
     return float(rng.uniform(low, high))
 
 
 def make_frame(config: RoomConfig) -> SpaceLayout | None:
-    """Make the frame that all instances share; None where they all have the same size.
+    """Make the layout that all instances share, or None if they all have the same size.
 
-    Instances differ in size if the room configuration has ranges, or a door in a random wall, behind which the exit
-    adds to the floor on that side.
+    Instances differ in size if the room configuration has ranges, or a door in a random wall, because the exit behind
+    it adds floor on that side.
     """
     ranges = list_ranges(config)
     has_random_door = config.exit.door and config.exit.place == "random"
@@ -175,7 +175,7 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
 
 
 def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
-    """One box for each blockable cell of the puzzle's map: as high as the walls for a door, else low."""
+    """One box for each blockable cell of the puzzle's map: as high as the walls for doors, low for things."""
     level = get_mixin(puzzle, Mapped)
     if not level.map_rows:
         return ()
@@ -241,7 +241,7 @@ def _make_target(name: str, panels: Panels, x: float, y: float, z: float, yaw: f
 
 
 def _paper_places(config: RoomConfig, panels: Panels) -> tuple[Place, ...]:
-    """Left wall centre, back wall centre, front wall at a quarter, right wall centre (paper, figure 1)."""
+    """Middle of the left and back walls, quarter of the front wall, middle of the right wall (paper, figure 1)."""
     inset = panels.thickness / 2 if panels.inset is None else panels.inset
     x, y = config.room.width / 2 - inset, config.room.depth / 2 - inset
     return (Place(0.0, y, 0.0), Place(-x, 0.0, 90.0), Place(x, -config.room.depth / 4, 90.0), Place(0.0, -y, 0.0))
@@ -249,7 +249,7 @@ def _paper_places(config: RoomConfig, panels: Panels) -> tuple[Place, ...]:
 
 def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorplan, doors: DoorPlan,
                    others: list[Target], rng: np.random.Generator) -> Target:
-    """Hang a panel on a random wall: no overlap, in an open room, off the exit unless it is the whole floor."""
+    """Hang a panel on a random wall without overlap, in an open room, off the exit unless that is the whole floor."""
     faces = [f for f in plan.faces if f.length >= panels.width]
     if not faces:
         raise Rejected(f"{name} must fit onto a wall")
@@ -276,7 +276,7 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
 
 def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, doors: DoorPlan,
               panels: tuple[Target, ...], rng: np.random.Generator) -> list[Target]:
-    """Lay pads where the body fits all over them, off other targets, off the exit unless it is the whole floor."""
+    """Place pads where the body fits all over them, off other targets, off the exit unless that is the whole floor."""
     pads = config.puzzle.pads
     if pads is None:
         raise ConfigError("puzzle.pads", None, f"sizes and places of the pads {', '.join(names)}")
@@ -364,7 +364,7 @@ def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpa
 
 
 def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:
-    """Put props on the floor; blocks get enough free floor behind them for a push."""
+    """Place props on the floor; blocks get enough free floor behind them for a push."""
     if not instance.props:
         return instance
     taken = [(s.x, s.y, instance.robot.outer_radius) for s in instance.starts[:1]]
@@ -388,7 +388,7 @@ def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstan
 
 def _place_obstacles(config: RoomConfig, instance: RoomInstance, floors: Floors,
                     rng: np.random.Generator) -> tuple[RoomInstance, Floors]:
-    """Add obstacles in batches; a batch that breaks the certificate is halved, a single one is drawn anew."""
+    """Add obstacles in batches. A batch that breaks the certificate is halved; a single obstacle is drawn again."""
     left, batch, failures = config.obstacles.count, max(1, config.obstacles.count // 4), 0
     while left:
         number = min(batch, left)
@@ -438,7 +438,7 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[So
             continue
         apart = 0.5 * min(half_x, half_y)
         if any(compute_distance(x, y, other) < apart for other in standing.list_near(x, y, apart)):
-            continue  # obstacles may touch, but none is inside another or a wall
+            continue  # obstacles may touch, but none may be inside another or a wall
         return Solid("cylinder" if is_cylinder else "box", x, y, half_x, half_y, yaw, settings.height, "obstacle")
     raise Rejected("obstacles must fit clear of the start, buttons, props and exit")
 
@@ -449,14 +449,14 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[So
 class DoorPlan(NamedTuple):
     """Doors of a floor plan."""
 
-    solids: tuple[Solid, ...] = ()  # the doors, in the puzzle's order
-    rooms: tuple[Rectangle, ...] = ()  # the floor's rooms; one where there are no doors
-    ways: tuple[tuple[int, ...], ...] = ()  # doors on the way from the starts to each room
+    solids: tuple[Solid, ...] = ()  # doors, in the puzzle's order
+    rooms: tuple[Rectangle, ...] = ()  # rooms of the floor; a single one without doors
+    ways: tuple[tuple[int, ...], ...] = ()  # indices of the doors on the way from the starts to each room
     opened: Mapping[str, frozenset[int]] = MappingProxyType({})
-    """Target's name -> doors open by the time it is needed; targets without an entry are not needed."""
+    """Target name -> doors that are open by the time it is needed; targets without an entry are not needed."""
 
     def allows(self, target: Target) -> bool:
-        """Return whether a target lies in one room, and that room is open when the target is needed."""
+        """Return whether a target is in one room that is open when the target is needed."""
         if not self.solids:
             return True
         room = self._find_room(target)
@@ -464,7 +464,7 @@ class DoorPlan(NamedTuple):
         return room is not None and (needed is None or needed.issuperset(self.ways[room]))
 
     def _find_room(self, target: Target) -> int | None:
-        """Room that holds all of a target's outline; panels hang a little in front of their wall."""
+        """Index of the room that contains a target's whole outline; panels hang slightly in front of their wall."""
         shape = target.footprint
         places = [(shape.x + share * shape.cos * shape.half_x, shape.y + share * shape.sin * shape.half_x)
                   for share in (-1, 1)]
@@ -472,10 +472,10 @@ class DoorPlan(NamedTuple):
                      if all(room.contains(x, y) for x, y in places)), None)
 
     def list_ways(self, targets: Sequence[Target], exit_: Rectangle, body_radius: float) -> tuple[tuple[int, ...], ...]:
-        """Doors on the way to each target and last to the exit, as a `RoomInstance` has them.
+        """Return the doors on the way to each target and, last, to the exit, as in `RoomInstance.ways`.
 
         Raises:
-            Rejected: a target or the exit lies in more than one room, or in none.
+            Rejected: a target or the exit is not in exactly one room.
         """
         if not self.solids:
             return ()
@@ -488,9 +488,9 @@ class DoorPlan(NamedTuple):
         return (*ways, self._find_way_out(exit_, body_radius))
 
     def _find_way_out(self, exit_: Rectangle, body_radius: float) -> tuple[int, ...]:
-        """Doors on the way to the room of the exit, or to the room at whose outer wall it is."""
+        """Doors on the way to the room of the exit, or to the room next to an exit in an outer wall."""
         rooms = [number for number, room in enumerate(self.rooms) if _overlaps(room, exit_, body_radius + CONTACT_SKIN)]
-        if not rooms:  # an alcove
+        if not rooms:  # the exit is an alcove
             x, y = exit_.centre
             low_x, high_x = min(r.x_min for r in self.rooms), max(r.x_max for r in self.rooms)
             low_y, high_y = min(r.y_min for r in self.rooms), max(r.y_max for r in self.rooms)
@@ -502,7 +502,7 @@ class DoorPlan(NamedTuple):
         return ways[0]
 
     def is_at_start(self, places: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return true for places (n, 2) to which no door leads from the starts."""
+        """Return whether places (n, 2) are reachable from the starts without a door."""
         if not self.solids:
             return np.ones(len(places), dtype=bool)
         found = np.zeros(len(places), dtype=bool)
@@ -514,24 +514,24 @@ class DoorPlan(NamedTuple):
 
 
 def _overlaps(room: Rectangle, area: Rectangle, margin: float) -> bool:
-    """Return whether an area overlaps a room, less a margin at its sides."""
+    """Return whether an area overlaps a room by more than a margin at its sides."""
     return (max(room.x_min + margin, area.x_min) <= min(room.x_max - margin, area.x_max)
             and max(room.y_min + margin, area.y_min) <= min(room.y_max - margin, area.y_max))
 
 
 def sample_doors(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.random.Generator) -> DoorPlan:
-    """Hang a puzzle's doors into doorways of a floor plan.
+    """Place a puzzle's doors in doorways of a floor plan.
 
     Raises:
-        ConfigError: there are fewer doorways than doors, or the puzzle cannot open them all.
+        ConfigError: there are fewer doorways than doors, or the puzzle cannot open all doors.
         Rejected: the fixed start is in no room.
     """
     count = len(get_mixin(puzzle, Doored).door_facts)
     if not count:
         return DoorPlan()
     if config.room.rooms <= count:
-        raise ConfigError("room.rooms", config.room.rooms, f"more than {count}, a doorway for each of the puzzle's "
-                          "doors")
+        raise ConfigError("room.rooms", config.room.rooms, f"more than {count}: the puzzle needs one doorway for each "
+                          "of its doors")
     order, opened = _draw_order(puzzle, rng)
     first = int(rng.integers(len(plan.rooms)))
     if config.start.place == "fixed":
@@ -562,10 +562,10 @@ def sample_doors(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.ra
 
 
 def _draw_order(puzzle: Puzzle, rng: np.random.Generator) -> tuple[list[int], dict[str, frozenset[int]]]:
-    """Draw an order in which operators open the doors; returns it and the doors open when each target is first used.
+    """Draw an order of opening the doors by operators. Returns it and the doors open when each target is first used.
 
     Raises:
-        ConfigError: operators do not open all doors.
+        ConfigError: operators cannot open all doors.
     """
     model, facts = puzzle.symbolic.make_symbolic_model(), puzzle.symbolic.get_facts(puzzle.make_state())
     doors = get_mixin(puzzle, Doored).door_facts
@@ -580,5 +580,5 @@ def _draw_order(puzzle: Puzzle, rng: np.random.Generator) -> tuple[list[int], di
         opened.setdefault(chosen.target, frozenset(order))
         facts |= chosen.relax(facts)
     if len(order) < len(doors):
-        raise ConfigError("puzzle.door_facts", doors, "facts that the puzzle's operators can all bring about")
+        raise ConfigError("puzzle.door_facts", doors, "facts that the puzzle's operators can all make true")
     return order, opened

@@ -1,14 +1,14 @@
-"""Proof that a room can be solved by its primitives: a sufficient condition, and a search where it does not hold.
+"""Proof that primitives solve a room: a sufficient condition, and a search for rooms that do not meet it.
 
-**The condition.** The base turns anywhere, the floor is one rectangle with nothing on it, presses never undo anything,
-turns are of at most 15 degrees, and a step s is no longer than half the way that the body's axis has along x and along
-y. A step in one direction and back in the next one then shifts the robot by e = 2 s sin(t / 2) for a turn step t, to
-and fro, and from any place in directions that span the plane: it comes within e of every place. (A base that does not
-strafe must have headings straight at each wall: its turns must divide 90 degrees.) A button that the body touches all
-along a stretch of 3 e of the wall is therefore touched by driving at that wall, and an exit of 3 e by 3 e is entered.
+**The condition.** The base turns anywhere, the floor is one empty rectangle, presses never undo anything, and turns are
+at most 15 degrees. A step s is at most half the range of the body's axis along x and along y. A step in one direction
+and back in the next direction shifts the robot by e = 2 s sin(t / 2) for a turn step t, both ways, and from any place
+in directions that span the plane. The robot therefore comes within e of every place. (A base that does not strafe must
+have headings perpendicular to each wall: its turns must divide 90 degrees.) A button that the body touches along a
+stretch of 3 e of the wall is therefore reached by driving at that wall, and an exit of 3 e by 3 e is entered.
 
-**The search.** Best-first over the kinematics without noise, from every start, button by button in an order that the
-puzzle's symbolic model gives, and then to the exit. Its path is the proof. Rooms under physics have neither: there the
+**The search.** It is best-first over the kinematics without noise, from every start, target by target in an order from
+the puzzle's symbolic model, then to the exit. Its path is the proof. Rooms under physics have no such proof; their
 certificate is the geometric one.
 """
 
@@ -38,32 +38,32 @@ from hrl_escape.env.sight import list_hiders
 
 _FINEST_TURN_DEG = 15.0
 _SHIFTS = 3
-"""Least length of a button's stretch and of the exit's sides, in shifts e."""
+"""Smallest length of a button's stretch and of the exit's sides, in shifts e."""
 _MOST_CELLS = 40_000
-"""Most cells over which waves spread; they only guide the search, so a coarse grid is enough."""
+"""Most cells of the grid for waves. They only guide the search, and a coarse grid is enough."""
 _EXPANSIONS = 4000
-"""Most states that one search for a button or the exit expands, plus 20 for each step of the way."""
+"""Most states that the search for one button or the exit expands, plus 20 for each step of the way."""
 _FINENESS = (0.05, 0.3, 1e-4)
-"""Share of a step within which two places count as one: the search is made again where it failed."""
+"""Fractions of a step within which two places count as one; the search is repeated with the next after a failure."""
 _HANDS = 4000
 _MOST_PRESSES = 4
-"""Presses per target, on average, of the longest solution that is tried in primitives."""
+"""Presses per target, on average, of the longest solution that is tried with primitives."""
 
 
 def find_unmet_constraint(instance: RoomInstance) -> str | None:
-    """Name the part of the certificate that an instance breaks; None if it holds.
+    """Return the part of the certificate that an instance fails, or None if it holds.
 
-    First that start, places of touching and exit lie on one connected floor, under physics that no arm begins in a
-    wall, then that the room can be solved by primitives.
+    Start, touching places and exit must be on one connected floor; under physics no arm may begin in a wall. Primitives
+    must then solve the room.
     """
     floors = make_floors(instance)
     return find_unmet(instance, floors) or find_unproven(instance, floors)
 
 
 def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
-    """Name the goal to which no primitives were found in a room; None if it is proven to be solvable.
+    """Return the goal that no primitives were found for, or None if the room is proven solvable.
 
-    Its geometric certificate holds, and the budget of its free space pays for the search.
+    The geometric certificate must hold. The budget of the free space pays for the search.
 
     Raises:
         OutOfWork: the budget is spent.
@@ -98,7 +98,7 @@ def meets_condition(instance: RoomInstance) -> bool:
 
 
 def _measure_stretch(instance: RoomInstance, target: Target, free_x: float, free_y: float) -> float:
-    """Length along the wall behind a target on which the body, against the wall, touches it."""
+    """Length along the wall behind a target where the body, against the wall, touches it."""
     reach, shape = instance.compute_press_reach(target), target.footprint
     axes = ((target.x, free_x), (target.y, free_y))
     (along, free_along), (across, free) = axes if abs(shape.sin) < 1e-12 else axes[::-1]
@@ -113,14 +113,14 @@ def _measure_stretch(instance: RoomInstance, target: Target, free_x: float, free
 
 
 class _Goal(NamedTuple):
-    """End of one leg, with the guidance of the search towards it."""
+    """Goal of one leg, with the guidance of the search towards it."""
 
-    distances: NDArray[np.float64]  # waves from the goal for each cell of the grid
+    distances: NDArray[np.float64]  # waves from the goal, for each cell of the grid
     is_reached: Callable[[RoomState], RoomState | None]
-    """Test of a state, which may run joint steps; the state at the end, or None."""
-    measure: Callable[[float, float], float]  # distance on the floor that certainly remains, m
-    count_turns: Callable[[RoomState], float]  # turns until the arm points at it
-    is_allowed: Callable[[Hashable], bool]  # test of a puzzle state on the way
+    """Test of a state, which can apply joint steps; returns the final state, or None."""
+    measure: Callable[[float, float], float]  # lower bound on the remaining floor distance, m
+    count_turns: Callable[[RoomState], float]  # number of turns until the arm points at the goal
+    is_allowed: Callable[[Hashable], bool]  # whether a puzzle state may occur on the way
 
 
 class _Search:
@@ -145,7 +145,7 @@ class _Search:
             self._hands = sample_hand_positions(self._rules.robot, _HANDS)
 
     def find_unproven(self) -> str | None:
-        """Run the search from every start; the returns are those of the module's `find_unproven`."""
+        """Run the search from every start; returns as the module's `find_unproven`."""
         for start in self._instance.starts:
             state = self._rules.make_state(start)
             for _ in range(_MOST_PRESSES * len(self._instance.targets) + 1):
@@ -169,7 +169,7 @@ class _Search:
         return not any(doors.get_shut(puzzle_state) >> door & 1 for door in self._instance.ways[-1])
 
     def _find_unsolvable(self, state: RoomState) -> str | None:
-        """Name a failed push; for puzzles with grips None, as only their geometry is certified."""
+        """Name a failed push, or None for puzzles with grips, where only the geometry is certified."""
         puzzle, cells = self._instance.puzzle, self._rules.inner_doors
         if not isinstance(puzzle, Pushing) or cells is None:
             return None
@@ -178,7 +178,7 @@ class _Search:
         return "the puzzle must be solvable by pushes from the start"
 
     def _choose_target(self, puzzle_state: Hashable) -> int | None:
-        """Next target to press on the way to the puzzle's goal, with deletions ignored."""
+        """Next target to press for the puzzle's goal, ignoring deletions."""
         puzzle = self._instance.puzzle
         model, names = self._instance.symbolic_model, puzzle.target_names
         if any(operator.when for operator in model.operators):
@@ -193,7 +193,7 @@ class _Search:
             layer = [(op, new) for op in model.operators if (new := op.relax(known) - known)]
             for operator, new in layer:
                 for fact in new - first.keys():
-                    first[fact] = operator  # type: ignore[assignment]  # the first that adds it
+                    first[fact] = operator  # type: ignore[assignment]  # the first operator that adds it
         if not model.goal <= first.keys():
             return None
         needed, open_facts = [], list(model.goal)
@@ -219,7 +219,7 @@ class _Search:
         expected, facts = puzzle.update(before.puzzle, Contacts((index,))), puzzle.symbolic.get_facts(before.puzzle)
 
         def is_better(now: Hashable) -> bool:
-            """Return whether a state is the expected one or, in a puzzle without dead ends, has further facts."""
+            """Return whether a state is the expected one or, in a puzzle without dead ends, has more facts."""
             return now == expected or (not puzzle.symbolic.has_dead_ends and puzzle.symbolic.get_facts(now) > facts)
 
         reach, fan = instance.compute_press_reach(target), math.pi
@@ -237,14 +237,14 @@ class _Search:
         )
 
     def _count_turns(self, state: RoomState, target: Target, fan: float) -> float:
-        """Turns until a target is within the angle that the arm covers either side."""
+        """Number of turns until a target is within the angle that the arm covers on either side."""
         if fan >= math.pi:
             return 0.0
         bearing = math.atan2(target.y - state.y, target.x - state.x) - self._rules.get_heading(state)
         return max(abs(math.remainder(bearing, math.tau)) - fan, 0.0) / self._rules.turn_step
 
     def _press_by_hand(self, state: RoomState, index: int, expected: Hashable) -> RoomState | None:
-        """State after joint steps that press a target from where the base stands; None if none do."""
+        """State after joint steps that press a target from the base's place, or None if there are none."""
         target = self._instance.targets[index]
         if self._hands is None or state.touching >> index & 1:
             return None
@@ -312,7 +312,7 @@ class _Search:
     # --- one leg -----------------------------------------------------------------------
 
     def _reach(self, start: RoomState, goal: _Goal) -> RoomState | None:
-        """Best-first search; the state that reaches the goal, or None."""
+        """Best-first search for a state that reaches the goal, or None if it fails."""
         tried = (self._search(start, goal, fineness * self._step) for fineness in _FINENESS)
         return next((found for found in tried if found is not None), None)
 
@@ -350,7 +350,7 @@ class _Search:
 
 
 def _spread(graph: Any, free: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Waves from cells `near` a goal over free cells; other cells take the value of the nearest reached cell."""
+    """Waves from cells `near` a goal over free cells; other cells get the value of the nearest reached cell."""
     from scipy import ndimage
 
     seeds = near & free

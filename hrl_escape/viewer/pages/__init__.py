@@ -1,1 +1,1 @@
-"""Pages of the viewer: the room, manual mode, watch mode, and replays that need no server."""
+"""Pages of the viewer: the room, manual mode, watch mode, and replays without a server."""

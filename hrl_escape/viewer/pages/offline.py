@@ -1,14 +1,14 @@
-"""Episodes and trajectories as one HTML page each that plays in 3D without a server or a network.
+"""Episodes and trajectories as one HTML page each, which plays in 3-D without a server or a network.
 
-viser's own serialiser records the scene. The page of an episode adds the puzzle's graph and a box of numbers that
-follows the slider of the player; if a later viser client hides it, the scene still plays. The page of a trajectory is
-motion only, at its true speed: panels and exit stay as they are in the state it begins in.
+viser's serialiser records the scene. The page of an episode adds the puzzle's graph and a box of numbers that follows
+the slider of the player; if a later viser client hides it, the scene still plays. The page of a trajectory shows motion
+at its true speed, with panels and exit as in its initial state.
 
-A page that is handed on carries names and numbers from rooms, agents and saved episodes. They are escaped where they
-stand; should one slip through, its script has no hash in the page's content security policy and is not run, and no
-address can be asked. viser's client unpacks itself and adds the script that it finds: that one carries a nonce, a hash
-of the whole page, which nothing in the page can know beforehand. The client also makes functions of text (its
-WebAssembly's glue), which the policy has to allow.
+Pages are passed on to others and contain names and numbers from rooms, agents and saved episodes. These are escaped.
+Scripts run only if the page's content security policy has their hash, and the policy allows no network access. viser's
+client unpacks itself and adds a script of its own. That script has a nonce, a hash of the whole page, which the content
+of the page cannot predict. The client also compiles text to functions (for its WebAssembly), which the policy has to
+allow.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ from hrl_escape.viewer.scene import RoomScene, blend, compute_overview
 from hrl_escape.viewer.server import Server, open_server
 
 PAUSE = 2.0
-"""Rest at the end before a page plays again, s."""
+"""Pause at the end before a page plays again, s."""
 SCRIPT = re.compile(r"""<script\b(?:"[^"]*"|'[^']*'|[^"'>])*>(.*?)</script\s*>""", re.DOTALL | re.IGNORECASE)
 UNPACKED = 'e=document.createElement("script");e.type="module";'
-"""Words with which viser's client adds its script."""
+"""Code of viser's client that adds its script."""
 
 
 @contextmanager
 def _open_scene(instance: RoomInstance) -> Iterator[tuple[Server, RoomScene]]:
-    """A room on a server of its own, for as long as it is recorded."""
+    """Open a room on its own server while it is recorded."""
     server = open_server(port=0)
     try:
         yield server, RoomScene(server, instance)
@@ -80,22 +80,22 @@ def _hash(text: str) -> str:
 REPLAY_STRIDE = 0.2
 """Duration of one primitive, s."""
 FRAMES = 5
-"""Frames of one primitive."""
+"""Frames per primitive."""
 CONFETTI = 24
 """Frames of the confetti after an escape."""
 PHONE = 0.55
-"""Width over height of what upright screens show of the room."""
+"""Width over height of the view of the room on upright screens."""
 LONGEST = 2_000
-"""Number of primitives above which each gets one frame only, so that pages stay small."""
+"""Number of primitives above which each has only one frame, which keeps pages small."""
 
 
 def save_replay(path: str | Path, recording: EpisodeRecording) -> None:
-    """Write the page of a recording, atomically."""
+    """Write the page of a recording atomically."""
     write_text(path, make_replay(recording))
 
 
 def make_replay(recording: EpisodeRecording) -> str:
-    """One HTML document that plays a recording without a network."""
+    """Return one HTML document that plays a recording without a network."""
     with _open_scene(recording.instance) as (server, scene):
         overview, upright = (compute_overview(recording.instance, aspect) for aspect in (1.6, PHONE))
         poses = [scene.model.make_pose(state) for state in recording.states]
@@ -121,7 +121,7 @@ def make_replay(recording: EpisodeRecording) -> str:
         serializer.insert_sleep(PAUSE / 2)
         page = serializer.as_html()
     title = f"{name_room(recording.instance)}: {recording.driver}"
-    title = title.encode("utf-8", "replace").decode()  # JSON has half characters too
+    title = title.encode("utf-8", "replace").decode()  # text from JSON may contain half characters
     data = embed_json(_collect(recording))
     overlay = render_template("hrl_escape.viewer.pages", "replay.html", title=title, data=data)
     head = "<script>" + UPRIGHT.replace("CAMERA", _write_camera(*upright)) + "</script>"
@@ -130,17 +130,17 @@ def make_replay(recording: EpisodeRecording) -> str:
 
 UPRIGHT = ("(() => { if (innerWidth >= innerHeight) return; const camera = CAMERA, get = URLSearchParams.prototype.get;"
            "URLSearchParams.prototype.get = function(name) { return camera[name] ?? get.call(this, name); }; })();")
-"""Script that hands viser's client, which reads its address, the camera of upright screens."""
+"""Script that gives viser's client, which reads its address, the camera for upright screens."""
 
 
 def _write_camera(position: tuple[float, ...], target: tuple[float, ...]) -> str:
-    """Camera as viser's client reads it from an address, in JSON."""
+    """Camera in the JSON form that viser's client reads from an address."""
     write = lambda place: ",".join(f"{value:.3f}" for value in place)  # noqa: E731
     return json.dumps({"initialCameraPosition": write(position), "initialCameraLookAt": write(target)})
 
 
 def _describe_end(recording: EpisodeRecording) -> str:
-    """Words on how the episode ended; of an escape also how far it is from the best known one."""
+    """Text about the end of the episode; for an escape also its distance from the best known one."""
     if recording.end is not EpisodeEnd.ESCAPED:
         return recording.end.words
     try:
@@ -151,7 +151,7 @@ def _describe_end(recording: EpisodeRecording) -> str:
 
 
 def _collect(recording: EpisodeRecording) -> dict[str, Any]:
-    """The numbers and graphs that the page's box shows."""
+    """Numbers and graphs for the page's box."""
     graphs: dict[str, int] = {}
     chosen = [graphs.setdefault(make_graph(recording.instance.puzzle, state.puzzle, 242), len(graphs))
               for state in recording.states]
@@ -166,24 +166,24 @@ def _collect(recording: EpisodeRecording) -> dict[str, Any]:
 # --- trajectories ------------------------------------------------------------------------
 
 FRAME_RATE = 30.0
-"""Most frames of a saved page for each second of the motion."""
+"""Most frames of a saved page per second of the motion."""
 MOST_SAMPLES = 12_000
-"""Number of frames above which there are fewer a second, so that pages stay small."""
+"""Number of frames above which there are fewer per second, which keeps pages small."""
 
 
 def save_motion(path: str | Path, trajectory: TimedTrajectory, instance: RoomInstance, state: RoomState | None = None
                 ) -> None:
-    """Write the page of a trajectory, atomically; see `make_motion`."""
+    """Write the page of a trajectory atomically; see `make_motion`."""
     write_text(path, make_motion(trajectory, instance, state))
 
 
 def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: RoomState | None = None) -> str:
-    """One HTML document that plays a trajectory, of the base, the arm, or both, without a network.
+    """Return one HTML document that plays a trajectory of the base, the arm, or both without a network.
 
-    `state` is everything that the trajectory does not move, and the lights; None for the room's first start.
+    `state` sets everything that the trajectory does not move, and the lights; by default the room's first start.
 
     Raises:
-        ConfigError: the room's robot has none of the joints that move.
+        ConfigError: the trajectory moves joints that the room's robot lacks.
         MissingExtraError: the extra `viewer` is not installed.
     """
     with _open_scene(instance) as (server, scene):
@@ -206,7 +206,7 @@ def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: Room
 
 
 def _move(still: RoomPose, names: tuple[str, ...], row: list[float], rules: Rules) -> RoomPose:
-    """Pose with the coordinates of a trajectory in place of its own."""
+    """Pose with the coordinates of a trajectory instead of its own."""
     own = {"x": still.x, "y": still.y, "heading": still.heading,
            **dict(zip(rules.robot.joint_names, still.angles, strict=True))}
     strangers = [name for name in names if name not in own]
@@ -218,7 +218,7 @@ def _move(still: RoomPose, names: tuple[str, ...], row: list[float], rules: Rule
 
 
 def _place_hand(pose: RoomPose, rules: Rules) -> tuple[float, float, float]:
-    """Position of the hand in the room, m."""
+    """Position of the hand in the room frame, m."""
     ahead, left, up = rules.robot.compute_hand(pose.angles).tolist()
     cos, sin = math.cos(pose.heading), math.sin(pose.heading)
     return pose.x + cos * ahead - sin * left, pose.y + sin * ahead + cos * left, pose.z + up

@@ -19,18 +19,18 @@ _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;ma
 
 
 class KnownEdges(NamedTuple):
-    """Edges of a graph that somebody knows or believes in, in place of the graph itself."""
+    """Known or believed edges of a graph, drawn instead of the true edges."""
 
-    known: Collection[tuple[int, int]] = ()  # edges (parent, child) taken for certain
-    possible: Collection[tuple[int, int]] = ()  # edges that may be there, drawn dashed
+    known: Collection[tuple[int, int]] = ()  # certain edges (parent, child)
+    possible: Collection[tuple[int, int]] = ()  # possible edges, drawn dashed
 
 
 def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: KnownEdges | None = None,
                is_hidden: bool = False, drawing: str = "puzzle") -> str:
-    """The puzzle's graph as SVG, some pixels wide: edges of precedence, lit targets lit, a second ring round the goal.
+    """Return the puzzle's graph as SVG, `width` pixels wide, with lit targets and a second ring around the goal.
 
-    Edges that are `believed` are drawn in place of the true ones, a wrong one red. Where it `is_hidden`, places, on a
-    ring, and colours say nothing of the true graph. `drawing` is its id in the page.
+    Edges in `believed` replace the true ones; wrong ones are red. If the graph `is_hidden`, nodes are on a ring, and
+    positions and colours are independent of the true graph. `drawing` is the id of the SVG in the page.
     """
     graph = get_mixin(puzzle, Graphed)
     edges = graph.edges if believed is None else sorted({*believed.known, *believed.possible})
@@ -75,21 +75,21 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH, believed: Kn
 
 
 def make_pair(*drawings: tuple[str, str]) -> str:
-    """Drawings side by side, each with its words above; their HTML is taken as it is."""
+    """Return drawings in a row, each with a title above. The HTML of the drawings is not escaped."""
     return f'<div style="{_STYLE};font-size:12px;display:flex;gap:6px">' + "".join(
         f'<div class="belief" style="flex:1 1 0;min-width:0;text-align:center"><div style="color:{palette.MUTED}">'
         f"{escape(words)}</div>{drawing.replace(_STYLE, '')}</div>" for words, drawing in drawings) + "</div>"
 
 
 def _place_on_ring(count: int) -> list[tuple[float, float]]:
-    """Places of nodes on a ring, from the top clockwise, neighbours at a distance of 1 or more."""
+    """Positions of nodes on a ring, clockwise from the top, with a distance of at least 1 between neighbours."""
     radius = 0.5 / math.sin(math.pi / count) if count > 1 else 0.0
     return [(radius * (1 + math.sin(math.tau * i / count)), radius * (1 - math.cos(math.tau * i / count)))
             for i in range(count)]
 
 
 def make_facts(facts: Iterable[tuple[str, str]], note: str = "", **data: object) -> str:
-    """A row of large numbers with their names, and a note below."""
+    """Return a row of large numbers with their names, and a note below."""
     tags = "".join(f' data-{name}="{escape(str(value))}"' for name, value in data.items())
     cells = "".join(f'<div style="flex:1 1 0;min-width:0"><div style="color:{palette.MUTED};font-size:11px">'
                     f'{escape(name)}</div><div style="font-size:19px;font-weight:600;'
@@ -99,7 +99,7 @@ def make_facts(facts: Iterable[tuple[str, str]], note: str = "", **data: object)
 
 
 def make_keys(keys: Iterable[tuple[str, str]]) -> str:
-    """Table of keys and their meanings."""
+    """Return a table of keys and their meanings."""
     rows = "".join('<div style="display:flex;gap:8px;break-inside:avoid;line-height:1.75"><span style="flex:0 0 5.6em">'
                    + " ".join('<kbd style="border:1px solid #c8ccd4;border-radius:3px;padding:0 4px;font-size:11px;'
                               f'background:#f6f7f9">{escape(key)}</kbd>' for key in names.split())
@@ -108,7 +108,7 @@ def make_keys(keys: Iterable[tuple[str, str]]) -> str:
 
 
 def make_table(header: Sequence[str], rows: Iterable[Sequence[str]], name: str = "", empty: str = "") -> str:
-    """A small table; the first column is text, the others are numbers."""
+    """Return a small table; the first column is text, the others are numbers."""
     heads = "".join(f'<th style="text-align:{"left" if i == 0 else "right"};font-weight:500;color:{palette.MUTED};'
                     f'padding:1px 4px">{escape(text)}</th>' for i, text in enumerate(header))
     body = "".join("<tr>" + "".join(f'<td style="text-align:{"left" if i == 0 else "right"};padding:1px 4px;'
@@ -121,10 +121,10 @@ def make_table(header: Sequence[str], rows: Iterable[Sequence[str]], name: str =
 
 def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, chosen: int, meaning: str,
               notes: Mapping[int, str] | None = None) -> str:
-    """Actions with their values, if any, as bars; the chosen one is marked, masked ones are grey.
+    """Return actions with their values, if any, as bars. The chosen action is marked; illegal ones are grey.
 
-    `meaning` is `value`, `preference`, `note`, or empty if there are no values; `notes` are words in place of numbers,
-    by the index of their action.
+    `meaning` is `value`, `preference`, `note`, or empty without values. `notes` replace the numbers of actions, by
+    action.
     """
     notes = notes or {}
     legal = [bool(on) for on in mask]
@@ -153,13 +153,13 @@ def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, cho
             "</div>"
         )
     about = {"value": "action values Q(s, \N{MIDDLE DOT}), in units of return",
-             "preference": "preferences of the policy", "note": "what this driver knows of each press",
+             "preference": "preferences of the policy", "note": "notes of this driver on each press",
              "": "this driver computes no values"}[meaning]
     return (f'<div id="values" style="{_STYLE};font-size:12px"><div style="color:{palette.MUTED}">{about}</div>'
             f'{"".join(rows)}</div>')
 
 
 def make_lines(lines: Iterable[str], name: str = "") -> str:
-    """Lines of text, one below another; `Markup` among them is taken as HTML."""
+    """Return lines of text, one below another; `Markup` among them is not escaped."""
     return f'<div id="{name}" style="{_STYLE};font-size:12px;line-height:1.6">' + "".join(
         f"<div>{escape(line)}</div>" for line in lines) + "</div>"

@@ -1,7 +1,7 @@
 """Manual mode in the browser: keys and buttons drive an `Episode` that a `RoomPage` shows.
 
-Clients only put keys into a queue, and one thread carries them out. A client that vanishes
-leaves nothing behind but the moves it made.
+Clients only put keys into a queue, and one thread executes them. A client that disconnects leaves only its moves
+behind.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hrl_escape.viewer.play.episode import Episode, SavedEpisode
 from hrl_escape.viewer.server import Server
 
 PLAY_STRIDE = 0.18
-"""Duration of one primitive on the screen, s; less while keys are waiting."""
+"""Duration of one primitive on the screen, s; shorter while keys are waiting."""
 MOST_WAITING = 30
 _HOTKEYS = {"up": "arrowup", "down": "arrowdown", "left": "arrowleft", "right": "arrowright"}
 _DRIVE = {"\N{ANTICLOCKWISE OPEN CIRCLE ARROW} turn": "left", "\N{BLACK UP-POINTING TRIANGLE} ahead": "w",
@@ -34,7 +34,7 @@ _EPISODE = {"Undo": "z", "Again": "r", "Next room": "n"}
 
 
 class PlayPage:
-    """Page on which an episode is played, a primitive in `stride` seconds; the folder is for saved episodes."""
+    """Page that plays an episode, one primitive in `stride` seconds; `folder` is for saved episodes."""
 
     def __init__(self, server: Server, episode: Episode, folder: Path = Path("episodes"),
                  stride: float = PLAY_STRIDE) -> None:
@@ -84,14 +84,14 @@ class PlayPage:
             self._ask(key)
 
     def _follow_clicks(self, button: Any, read: Callable[[Any], Command | str]) -> None:
-        """Queue what a button asks for, read from its value."""
+        """Queue a button's key or command, read from its value."""
 
         @button.on_click
         async def _(event: Any) -> None:
             self._ask(read(event.target.value))
 
     def _ask(self, asked: Command | str) -> None:
-        """Queue what a client asks for unless much is waiting; on the event loop, so that all keeps its order."""
+        """Queue a client's key or command unless many are waiting; the event loop preserves their order."""
         if self._waiting.qsize() < MOST_WAITING:
             self._waiting.put(asked)
 
@@ -137,17 +137,17 @@ class PlayPage:
     # --- playing ---------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Carry out keys until the command `quit`."""
+        """Execute keys until the command `quit`."""
         while self.handle(self._waiting.get()):
             pass
 
     def replay(self, saved: SavedEpisode) -> None:
-        """Replay a saved episode as soon as a client is connected; each of its moves can be undone."""
+        """Replay a saved episode as soon as a client is connected. Each of its moves can be undone."""
         while not self.server.get_clients():
             time.sleep(0.1)
         self._note = "Replaying"
         self.episode.replay(saved)
-        self._note = f"Replayed {len(saved.primitives)} primitives: Z goes back through them"
+        self._note = f"Replayed {len(saved.primitives)} primitives: Z undoes the last move"
         self._show_facts()
 
     def put(self, key: str | Command) -> None:
@@ -155,7 +155,7 @@ class PlayPage:
         self._waiting.put(key)
 
     def handle(self, asked: Command | str) -> bool:
-        """Carry out one key; False after the command `quit`."""
+        """Execute one key; return False after the command `quit`."""
         command = self.controls.press(asked) if isinstance(asked, str) else asked
         if command is None:
             return True

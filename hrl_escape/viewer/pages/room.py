@@ -1,7 +1,6 @@
-"""The page that all modes share: the room in smooth 3D, its puzzle's graph, and cameras.
+"""The page that all modes share: the room in smooth 3-D, its puzzle's graph, and cameras.
 
-`RoomPage` shows states and lets each client choose a camera. `play.py` and `watch.py` decide
-which states.
+`RoomPage` shows states, and each client chooses a camera. `play.py` and `watch.py` decide which states are shown.
 """
 
 from __future__ import annotations
@@ -29,18 +28,18 @@ CONFETTI_FRAMES = 50
 _Point = tuple[float, float, float]
 _OWN_KEYS = ("<img alt='' style='display:none' src='data:,' onerror=\"if(!window.hrlKeys){window.hrlKeys=1;"
              "document.documentElement.addEventListener('keydown',e=>e.stopPropagation())}\">")
-"""Keeps keys that drive the robot from moving viser's camera, which listens one element further out."""
+"""Prevents keys that drive the robot from moving viser's camera, which listens one element further out."""
 
 
 class RoomPage:
     """Page that shows a room to any number of clients.
 
-    Where it `owns_keys`, keys drive something, so viser's camera must ignore them. A graph that is to be discovered is
-    shown as far as `discovery` knows it, until an escape shows it all.
+    If it `owns_keys`, keys control the page, and viser's camera ignores them. With `discovery`, the graph is shown as
+    far as presses have revealed it, and completely after an escape.
 
     Attributes:
-        scene: the room shown now.
-        best: best known return of this room; None until it is found.
+        scene: scene of the current room.
+        best: best known return of this room, or None before it is found.
     """
 
     def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False,
@@ -56,7 +55,7 @@ class RoomPage:
             gui.add_html(_OWN_KEYS)
         self.view_folder = gui.add_folder("View", order=50.0)
         self._graph = gui.add_html("", order=20.0)
-        self._belief: tuple[KnownEdges, str] | None = None  # graph that an agent believes in, and words on it
+        self._belief: tuple[KnownEdges, str] | None = None  # graph that an agent believes in, and its title
         self._shown: tuple[str, object, KnownEdges | None, str, bool] | None = None
         self._pose = self.scene.model.make_pose(state)
         self.show(state)
@@ -64,7 +63,7 @@ class RoomPage:
         server.on_client_disconnect(self._forget)
 
     def enter(self, instance: RoomInstance, state: RoomState, discovery: PressEvidence | None = None) -> None:
-        """Replace the room by another one."""
+        """Replace the room."""
         self.scene.remove()
         self._discovery, self.best = discovery, None
         self.scene = RoomScene(self.server, instance, discovery is not None)
@@ -73,7 +72,7 @@ class RoomPage:
             self._choose(client, self._cameras.get(client.client_id, VIEWS[0]))
 
     def show(self, state: RoomState) -> None:
-        """Jump to a state."""
+        """Show a state at once."""
         self._pose = self.scene.model.make_pose(state)
         self.scene.show(state)
         self._draw_graph(state)
@@ -82,7 +81,7 @@ class RoomPage:
         self.scene.uncover(eyes, self._pose)
 
     def move(self, state: RoomState, seconds: float, is_cancelled: Callable[[], bool] | None = None) -> None:
-        """Move smoothly to a state, where panels light up, within seconds; once cancelled, jump there."""
+        """Move smoothly to a state within `seconds`, then light its panels; if cancelled, show the state at once."""
         begin, end = self._pose, self.scene.model.make_pose(state)
         started = time.monotonic()
         while (past := time.monotonic() - started) < seconds - FRAME_SECONDS / 2:
@@ -111,12 +110,12 @@ class RoomPage:
                 self._graph.content = make_graph(puzzle, state.puzzle, WIDTH, believed, is_hidden)
 
     def show_belief(self, state: RoomState, believed: KnownEdges, words: str) -> None:
-        """Show the graph that an agent believes in, with words on it, beside the true one."""
+        """Show the graph that an agent believes in, with a title, next to the true one."""
         self._belief = believed, words
         self._draw_graph(state)
 
     def find_best(self) -> None:
-        """Find the best known return of the room, which takes some seconds; `best` stays None where none is known."""
+        """Find the best known return of the room, which takes some seconds. `best` stays None if none is known."""
         instance = self.scene.instance
         with contextlib.suppress(EscapeError):
             best = best_known_return(instance)
@@ -124,7 +123,7 @@ class RoomPage:
                 self.best = best
 
     def celebrate(self, is_cancelled: Callable[[], bool]) -> None:
-        """Throw confetti over the exit for a moment."""
+        """Show confetti over the exit for a moment."""
         for frame in range(CONFETTI_FRAMES):
             if is_cancelled():
                 break
@@ -135,9 +134,9 @@ class RoomPage:
     # --- cameras -------------------------------------------------------------------------------
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
-        """Give a new client its own camera buttons; on the event loop, so that no client goes in the middle of it."""
+        """Add camera buttons for a new client; runs on the event loop, where the client cannot disconnect meanwhile."""
         if client.client_id not in self.server.get_clients():
-            return  # nobody would take its buttons away again
+            return  # its buttons would never be removed
         with self.view_folder:
             choice = client.gui.add_button_group("camera", VIEWS)
 
@@ -148,7 +147,7 @@ class RoomPage:
         with self._lock:
             self._cameras[client.client_id] = VIEWS[0]
         if _get_aspect(client) < 1.0:
-            self._choose(client, VIEWS[0])  # the scene's own first view is for wide screens
+            self._choose(client, VIEWS[0])  # the initial view of the scene is for wide screens
 
     async def _forget(self, client: viser.ClientHandle) -> None:
         with self._lock:
@@ -183,7 +182,7 @@ class RoomPage:
                     client.camera.position, client.camera.look_at = place, target
 
     def _place_camera(self, pose: RoomPose, mode: str) -> tuple[_Point, _Point, float]:
-        """Position, target (m) and field of view (degrees)."""
+        """Position and target (m), and field of view (degrees), of a camera."""
         robot = self.scene.instance.robot
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         if mode == "follow":
@@ -197,7 +196,7 @@ class RoomPage:
 
 
 def name_room(instance: RoomInstance) -> str:
-    """Name a room by its configuration and its seed, as the command line takes them."""
+    """Return the name of a room, its configuration and seed, in the grammar of the command line."""
     return instance.name if instance.seed is None else f"{instance.name}, seed {instance.seed}"
 
 

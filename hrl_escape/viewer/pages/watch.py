@@ -1,7 +1,7 @@
-"""Debug mode in the browser: an agent drives, and the page shows its values, plans and transitions.
+"""Watch mode in the browser: an agent drives, and the page shows its values, plans and transitions.
 
-The driver runs in one thread and updates the page from there, so that everything shown belongs
-to the same moment. Clients operate the gate and ask for previews.
+The driver runs in one thread, which also updates the page. Everything shown therefore belongs to the same moment.
+Clients operate the gate and request previews.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from hrl_escape.viewer.watch.watch import Preview, Watch
 
 FASTEST = 60.0
 REFRESH = 0.1
-"""Minimum time between two updates of the panel while the driver runs, s."""
+"""Shortest time between two updates of the panel while the driver runs, s."""
 GAMMA_K = "\N{GREEK SMALL LETTER GAMMA}\N{MODIFIER LETTER SMALL K}"
-SMDP_NOTE = f"k: primitives that ran; R: their discounted reward; {GAMMA_K}: discount of the next state's value"
+SMDP_NOTE = f"k: number of primitives; R: their discounted reward; {GAMMA_K}: discount of the next state's value"
 NESTED = 3 * "\N{NO-BREAK SPACE}"
 _ENDED = {"reached": "", "episode-over": "episode over"}
 
@@ -44,7 +44,7 @@ class WatchPage:
     """Page that shows a watched driver.
 
     Attributes:
-        problem: reason why the driver stopped; empty while it drives.
+        problem: reason why the driver stopped; empty while it runs.
         finished: set once the driver has stopped.
     """
 
@@ -53,9 +53,9 @@ class WatchPage:
         self.problem = ""
         self.finished = threading.Event()
         self._refreshed = 0.0
-        self._escape = ""  # what is said of an escape while it is celebrated
+        self._escape = ""  # message about an escape during its celebration
         self._previewing = threading.Lock()
-        self._planned: tuple[Preview | None] | None = None  # the plan that is drawn
+        self._planned: tuple[Preview | None] | None = None  # plan in the current drawing
         room = watch.driver.room
         self._navigator = Navigator(room.instance)
         self.page = RoomPage(server, room.instance, room.room.state if room.room else room.get_state(),
@@ -64,7 +64,7 @@ class WatchPage:
         self._build()
 
     def run(self, episodes: int | None = None) -> None:
-        """Drive until the gate is stopped; an error is shown on the page."""
+        """Drive until the gate is stopped; show errors on the page."""
         try:
             self.watch.run(episodes)
             self.problem = "all episodes are over"
@@ -88,9 +88,9 @@ class WatchPage:
         tabs = gui.add_tab_group(order=40.0)
         self._talk = None
         if self.watch.driver.text_env is not None:
-            with tabs.add_tab("Talk"):
+            with tabs.add_tab("Transcript"):
                 self._talk = gui.add_html("")
-        with tabs.add_tab("Mind"):
+        with tabs.add_tab("Agent"):
             self._calls = gui.add_html("", visible=False)
             self._values = gui.add_html("")
             empty = (np.zeros(1), np.zeros(1))
@@ -103,12 +103,12 @@ class WatchPage:
             self._table = gui.add_html("")
         with tabs.add_tab("Log"):
             self._log = gui.add_html("")
-        with tabs.add_tab("What if"):
+        with tabs.add_tab("Preview"):
             names = tuple(self.watch.previewer.options)
             self._choice = gui.add_dropdown("option", names)
-            self._ask = gui.add_button("What if it took this option?")
+            self._ask = gui.add_button("Preview this option")
             self._clear = gui.add_button("Clear")
-            self._answer = gui.add_html(make_lines(["A path and a posture in pink show where the option would lead"]))
+            self._answer = gui.add_html(make_lines(["The pink path and posture show where the option would lead"]))
         self._buttons.on_click(lambda event: self._turn(event.target.value))
         self._speed.on_update(lambda _: self._set_pace())
         self._fast.on_update(lambda _: self._set_pace())
@@ -134,7 +134,7 @@ class WatchPage:
         self.watch.gate.pace = None if self._fast.value else float(self._speed.value)
 
     def _show_preview(self) -> None:
-        """Show the course of the chosen option from the present state; runs in the client's thread, one at a time."""
+        """Preview the chosen option from the current state; runs in the client's thread, one preview at a time."""
         if not self.watch.states or not self._previewing.acquire(blocking=False):
             return
         try:
@@ -170,7 +170,7 @@ class WatchPage:
             self._celebrate()
 
     def _celebrate(self) -> None:
-        """Show the escape beside the best known one, which is looked for at the first."""
+        """Show the escape and the best known one, which is searched for at the first escape."""
         self.page.find_best()
         self._escape = praise(self.watch.total, self.page.best)
         self._refresh()
@@ -178,7 +178,7 @@ class WatchPage:
         self._escape = ""
 
     def _show_wait(self) -> None:
-        """Bring everything up to date before a primitive that has to wait."""
+        """Update everything before a primitive that has to wait."""
         if self.watch.gate.is_paused:
             self._show_everything()
 
@@ -188,7 +188,7 @@ class WatchPage:
         self._refresh()
 
     def _show_scene(self) -> None:
-        """Show the present state, the way there, and the plan if it is a new one."""
+        """Show the current state, the path so far, and the plan if it is new."""
         watch = self.watch
         if watch.states:
             self.page.show(watch.states[-1])
@@ -242,7 +242,7 @@ class WatchPage:
             self._plot.data = (np.array(xs, dtype=np.float64), np.array(ys, dtype=np.float64))
 
     def _show_learned(self) -> None:
-        """Draw the graph that the agent believes in beside the true one, and count what is right."""
+        """Draw the graph that the agent believes in next to the true one, and count its correct edges."""
         graph = self.watch.read_graph()
         if graph is None or not self.watch.states:
             return
@@ -255,7 +255,7 @@ class WatchPage:
     def _show_facts(self) -> None:
         watch = self.watch
         facts = (("episode", str(watch.episode)), ("primitives", str(max(len(watch.states) - 1, 0))),
-                 ("return", f"{watch.total:g}"), ("in all", f"{watch.primitives:,}"))
+                 ("return", f"{watch.total:g}"), ("total", f"{watch.primitives:,}"))
         state = self.problem or ("paused" if watch.gate.is_paused else "running")
         self._facts.content = make_facts(facts, f"{watch.driver.name} in {name_room(watch.driver.room.instance)}: "
                                          f"{self._escape or state}", steps=max(len(watch.states) - 1, 0),
@@ -278,7 +278,7 @@ class WatchPage:
 
 
 def _list_turns(turns: Sequence[Turn]) -> Iterator[str]:
-    """The calls of a game with their answers, the latest first, and the text that began it."""
+    """Calls of a game with their answers, the latest first, then the text that began it."""
     for turn in reversed(turns):
         if turn.call is not None:
             values = turn.call.arguments.values() if isinstance(turn.call.arguments, dict) else [turn.call.arguments]
@@ -287,7 +287,7 @@ def _list_turns(turns: Sequence[Turn]) -> Iterator[str]:
 
 
 def run_in_thread(page: WatchPage) -> threading.Thread:
-    """Start the driver in its own thread."""
+    """Run the driver in its own thread."""
     thread = threading.Thread(target=page.run, daemon=True)
     thread.start()
     return thread

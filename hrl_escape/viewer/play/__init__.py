@@ -1,1 +1,1 @@
-"""Manual mode: keys, the episode that they drive, episode files, and play without a browser."""
+"""Manual mode: keys, the episode that they control, episode files, and play without a browser."""

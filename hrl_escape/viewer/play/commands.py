@@ -1,6 +1,6 @@
-"""Keys and commands of manual mode: what each key means, what a command does to an episode, and the message it leaves.
+"""Keys and commands of manual mode: the meaning of each key, the effect of a command on an episode, and its message.
 
-`Controls` remembers the chosen joint and a meta-action that is being typed, and steps nothing.
+`Controls` stores the chosen joint and the meta-action that is being typed. It does not step the episode.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class Command(NamedTuple):
 
 
 class Controls:
-    """The keyboard of one player; so many meta-actions, the exit's last, follow the robot's primitives.
+    """The keyboard of one player. `options` meta-actions, the exit's last, follow the robot's primitives.
 
     Attributes:
         joint: index of the chosen joint.
-        typed: digits of a meta-action so far; None if none is being typed.
+        typed: digits of a meta-action so far, or None if none is being typed.
     """
 
     def __init__(self, actions: ActionTable, options: int) -> None:
@@ -59,11 +59,11 @@ class Controls:
 
     @property
     def digits(self) -> int:
-        """Number of digits that name a meta-action."""
+        """Number of digits of a meta-action's number."""
         return len(str(self._options - 1))
 
     def press(self, key: str) -> Command | None:
-        """Take one key, as named in `KEYS`; None if it means nothing, or nothing yet."""
+        """Process one key, a name in `KEYS`. Returns its command, or None if it has no effect yet."""
         if self.typed is not None:
             return self._type(key)
         if key == "m":
@@ -87,7 +87,7 @@ class Controls:
         return None
 
     def _type(self, key: str) -> Command | None:
-        """Go on typing a meta-action; any other key cancels it and keeps its own meaning."""
+        """Continue typing a meta-action; any other key cancels it and keeps its own meaning."""
         typed, self.typed = self.typed or "", None
         if not key.isdigit():
             return self.press(key) if key != "m" else Command("note", note="cancelled")
@@ -103,16 +103,16 @@ class Controls:
 
 
 PERSONAL_BESTS = "personal-bests.json"
-"""File of the best returns of one's own by room, in the folder of saved episodes."""
+"""File of the player's best returns by room, in the folder of saved episodes."""
 
 
 def carry_out(command: Command, episode: Episode, folder: Path, best: float | None = None) -> str:
-    """Do what a key asks for; returns a message for the player.
+    """Execute a command; return a message for the player.
 
-    Episodes are saved in the folder; `best` is the best known return of the room, if it is known yet.
+    Episodes are saved in `folder`. `best` is the best known return of the room, or None while it is unknown.
 
     Raises:
-        UnsupportedError: there is no next room.
+        UnsupportedError: the room comes from a file and has no next room.
         FileWriteError: the episode, or the personal best, could not be saved.
     """
     if command.verb == "act":
@@ -149,7 +149,7 @@ def _act(action: int, episode: Episode, folder: Path, best: float | None) -> str
 
 
 def praise(total: float, best: float | None) -> str:
-    """Words on an escape: its return, and how far it is from the best known one, where that is known."""
+    """Return a message on an escape: its return, and the difference from the best known one, if that is known."""
     words = f"Escaped with a return of {total:g}"
     if best is None:
         return words
@@ -162,10 +162,10 @@ def praise(total: float, best: float | None) -> str:
 
 
 def _keep_personal_best(episode: Episode, folder: Path) -> str:
-    """Write down an escape that is better than one's own before in this room, and say so."""
+    """Record an escape that is better than the player's earlier ones in this room; return a message."""
     path, room = folder / PERSONAL_BESTS, episode.instance.id + ("-hidden" if episode.discovery is not None else "")
     kept: dict[str, float] = {}
-    with contextlib.suppress(FileReadError, TypeError, ValueError, AttributeError):  # none yet, or a damaged one
+    with contextlib.suppress(FileReadError, TypeError, ValueError, AttributeError):  # missing or damaged
         kept = {str(name): float(value) for name, value in read_json(path, "personal bests").items()}
     before = kept.get(room)
     if before is not None and before >= episode.total:

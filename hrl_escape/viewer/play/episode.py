@@ -1,11 +1,11 @@
 """An episode that a person plays: primitives, meta-actions, undo, the next room, and its file.
 
-It knows no page and no keys. Undo restores the exact state before the last move, however many primitives it ran. A file
-holds the room, the seed and every primitive, as JSON.
+The module is independent of pages and keys. Undo restores the exact state before the last move, however many primitives
+it ran. A file contains the room, the seed and every primitive, as JSON.
 
-On a graph of buttons, presses are evidence: of edges that follow from it, and of those that still may be there. A
-button that goes on shows that all its parents were on; one that stays off, that a parent was off. Only buttons whose
-presses say no more than that are reasoned about: none that can be turned off, and none that locks another.
+On a graph of buttons, presses are evidence: they make some edges certain and rule out others. A button that turns on
+shows that all its parents were on; one that stays off, that some parent was off. Evidence is only collected if presses
+have no other effect, which excludes buttons that can be turned off and buttons that lock others.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class SavedEpisode:
     """Content of an episode's file."""
 
     instance: RoomInstance  # the room
-    seed: int  # of the episode
+    seed: int  # seed of the episode
     moves: tuple[tuple[str, tuple[int, ...], str], ...]  # name, primitives and ending of each move, in order
     total: float  # undiscounted return
     end: EpisodeEnd | None
-    """The episode's end; None where the file came from one that only said whether the robot escaped."""
+    """End of the episode, or None if the file comes from a version that only stored whether the robot escaped."""
 
     @property
     def primitives(self) -> tuple[int, ...]:
@@ -50,7 +50,7 @@ class SavedEpisode:
 
     @property
     def file_name(self) -> str:
-        """Default name of the file: room, instance seed, number of primitives, and a hash that tells episodes apart."""
+        """Default name of the file: room, instance seed, number of primitives, and a hash of the episode."""
         content = json.dumps([self.instance.id, self.seed, self.moves])
         key = hashlib.sha256(content.encode()).hexdigest()[:8]
         room = make_file_name(f"{self.instance.name}-{self.instance.seed}")
@@ -58,7 +58,7 @@ class SavedEpisode:
 
 
 def save_episode(path: str | Path, saved: SavedEpisode) -> None:
-    """Write an episode as JSON, atomically."""
+    """Write an episode as JSON atomically."""
     moves: Sequence[dict[str, Any]] = [
         {"name": name, "primitives": list(primitives), "ended": ended} for name, primitives, ended in saved.moves
     ]
@@ -71,13 +71,13 @@ def load_episode(path: str | Path) -> SavedEpisode:
     """Read an episode.
 
     Raises:
-        EpisodeFileError: the file is damaged or holds something else.
-        FileReadError: there is no such file, or it is not JSON.
+        EpisodeFileError: the file is damaged, or is not an episode.
+        FileReadError: the file is missing, or not JSON.
     """
     content = read_json(path, "recorded episode")
     try:
         if not isinstance(content, dict) or content.get("kind") != "episode":
-            raise EpisodeFileError("no recorded episode: save one with the Save button of hrl-escape play")
+            raise EpisodeFileError("no recorded episode. Save one with the Save button of hrl-escape play")
         if content["schema"] in (1, 2):
             raise OldFormatError(path, "recorded episode")
         if content["schema"] != SCHEMA:
@@ -98,7 +98,7 @@ def load_episode(path: str | Path) -> SavedEpisode:
 
 
 class PressEvidence:
-    """Evidence from the presses in one room, over all its episodes."""
+    """Evidence on the graph from the presses in one room, over all its episodes."""
 
     def __init__(self, instance: RoomInstance) -> None:
         self._puzzle = instance.puzzle
@@ -106,7 +106,7 @@ class PressEvidence:
         self._failed: dict[int, set[frozenset[int]]] = {}
 
     def note(self, step: PrimitiveStep) -> None:
-        """Take note of the presses of a primitive."""
+        """Record the presses of a primitive."""
         before, after = (self._puzzle.get_lit(state.puzzle) for state in (step.before, step.after))
         lit = frozenset(i for i, on in enumerate(before) if on)
         for target in step.pressed:
@@ -118,7 +118,7 @@ class PressEvidence:
                 self._failed.setdefault(target, set()).add(lit)
 
     def list_edges(self) -> tuple[Collection[tuple[int, int]], Collection[tuple[int, int]]]:
-        """Edges (parent, child) that are there for certain, and all that may be, of buttons that went on."""
+        """Return the certain edges (parent, child), and all possible ones, of buttons that turned on."""
         puzzle = self._puzzle
         if not isinstance(puzzle, ButtonsPuzzle) or puzzle.allow_off or puzzle.locks:
             return (), ()
@@ -132,23 +132,23 @@ class PressEvidence:
 class PlayedMove:
     """One decision: a primitive, or a meta-action that ran to its end."""
 
-    name: str  # of the primitive or option
-    steps: tuple[PrimitiveStep, ...]  # the primitives that ran
-    ended: str = "reached"  # how it ended, as in `info["option"]["ended"]`
-    reason: str = ""  # why planning failed, else empty
+    name: str  # name of the primitive or option
+    steps: tuple[PrimitiveStep, ...]  # executed primitives
+    ended: str = "reached"  # value of `info["option"]["ended"]`
+    reason: str = ""  # reason of a failed plan, otherwise empty
 
 
 class Episode:
     """One room being played; the seed fixes the start and the noise.
 
-    The room configuration, `config`, is needed to enter the next room. Where it `is_hidden`, the graph is to be
-    discovered.
+    The room configuration, `config`, is needed to enter the next room. If `is_hidden`, the player has to discover the
+    graph.
 
     Attributes:
-        instance: the present room.
-        discovery: what presses have shown of a graph that is to be discovered; None where it is shown.
+        instance: current room.
+        discovery: evidence on a graph that has to be discovered, or None if the graph is shown.
         moves: all moves since the episode began.
-        running: primitives so far of the move in progress.
+        running: number of primitives of the current move so far.
         on_step: called after every primitive.
     """
 
@@ -173,22 +173,22 @@ class Episode:
     # --- moves ---------------------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Begin the same episode again."""
+        """Restart the same episode."""
         self._options.reset(seed=self.seed)
         self.moves: list[PlayedMove] = []
         self.running: list[PrimitiveStep] = []
         self.start = self._env.get_state()
 
     def enter_next_room(self) -> None:
-        """Enter the configuration's next room; `UnsupportedError` where the room came without one, from a file."""
+        """Enter the configuration's next room. Raises `UnsupportedError` for a room from a file."""
         if self.config is None or self.instance.seed is None:
-            raise UnsupportedError("there is no next room: this one was loaded from a file, without its configuration")
+            raise UnsupportedError("this room was loaded from a file without its configuration, and has no next room")
         following = generate(self.config, self.instance.seed + 1)
         self._env.close()
         self._open(following)
 
     def do(self, action: int) -> PlayedMove | None:
-        """Run a primitive, or a meta-action to its end; None if it is not legal now."""
+        """Run a primitive, or a meta-action to its end; return None if it is not legal now."""
         if not self.is_legal(action):
             return None
         self.running = []
@@ -199,7 +199,7 @@ class Episode:
         return self.moves[-1]
 
     def undo(self) -> PlayedMove | None:
-        """Take the last move back, to the exact state before it; None if there is none."""
+        """Undo the last move, back to the exact state before it; return None if there is none."""
         if not self.moves:
             return None
         move = self.moves.pop()
@@ -208,7 +208,7 @@ class Episode:
         return move
 
     def replay(self, saved: SavedEpisode) -> None:
-        """Replay a saved episode by its primitives, each move to be undone; `EpisodeFileError` where it differs."""
+        """Replay a saved episode by its primitives, as undoable moves. Raises `EpisodeFileError` if it differs."""
         for name, primitives, ended in saved.moves:
             steps: list[PrimitiveStep] = []
             for primitive in primitives:
@@ -219,12 +219,12 @@ class Episode:
             self.running = []
             self.moves.append(PlayedMove(name, tuple(steps), ended))
         if abs(self.total - saved.total) > 1e-6:
-            raise EpisodeFileError(f"the replay returns {self.total:g}, the file says {saved.total:g}")
+            raise EpisodeFileError(f"the replay returns {self.total:g}, the file states {saved.total:g}")
         if saved.end is not None and self.end is not saved.end:
-            raise EpisodeFileError(f"the replay ends {self.end.value}, the file says {saved.end.value}")
+            raise EpisodeFileError(f"the replay ends {self.end.value}, the file states {saved.end.value}")
 
     def close(self) -> None:
-        """Close the room's environment; the moves so far stay readable."""
+        """Close the room's environment. The moves so far stay readable."""
         self._env.close()
 
     def _note(self, step: PrimitiveStep) -> None:
@@ -243,12 +243,12 @@ class Episode:
 
     @property
     def steps(self) -> list[PrimitiveStep]:
-        """All primitives since the episode began, those of the move in progress included."""
+        """All primitives since the episode began, with the current move's."""
         return [*(step for move in self.moves for step in move.steps), *self.running]
 
     @property
     def states(self) -> list[RoomState]:
-        """All states since the episode began, the first one included."""
+        """All states since the episode began, with the initial one."""
         return [self.start, *(step.after for step in self.steps)]
 
     @property
@@ -258,12 +258,12 @@ class Episode:
 
     @property
     def is_over(self) -> bool:
-        """The robot escaped, the puzzle was failed, or the horizon is reached."""
+        """True if the robot escaped, the puzzle failed, or the horizon was reached."""
         return self.end.is_over
 
     @property
     def end(self) -> EpisodeEnd:
-        """End of the episode; `STOPPED` while it goes on."""
+        """End of the episode; `STOPPED` while it is running."""
         return EpisodeEnd.STOPPED if self._last is None else self._last.end
 
     @property
@@ -271,10 +271,10 @@ class Episode:
         return self.running[-1] if self.running else self.moves[-1].steps[-1] if self.moves else None
 
     def is_legal(self, action: int) -> bool:
-        """True if the episode goes on and a primitive or meta-action can start now."""
+        """Return whether the episode is running and a primitive or meta-action can start now."""
         return not self.is_over and bool(self._options.action_masks()[action])
 
     def to_saved(self) -> SavedEpisode:
-        """Content of this episode's file."""
+        """Return the content of this episode's file."""
         moves = tuple((m.name, tuple(step.primitive for step in m.steps), m.ended) for m in self.moves)
         return SavedEpisode(self.instance, self.seed, moves, self.total, self.end)

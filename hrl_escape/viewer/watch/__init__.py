@@ -1,1 +1,1 @@
-"""Debug mode: an agent drives at a chosen pace, and everything it decides is kept for display."""
+"""Watch mode: an agent drives at a chosen pace, and all its decisions are recorded for display."""

@@ -1,9 +1,9 @@
 """Drivers of watch mode: the oracle, another reference, the agent of a finished run, or one in training.
 
-Each becomes an agent in an environment made as in training. Nothing here shows anything.
+Each becomes an agent in an environment made as in training. This module displays nothing.
 
-The oracle follows one plan of the whole escape, leg by leg. Where moves err or slip, or blocks are pushed, no plan
-foresees the whole escape: there it takes the next goal of the cheapest order.
+The oracle follows one plan of the whole escape, leg by leg. With noise, slips or pushed blocks, the whole escape cannot
+be predicted. The oracle then takes the next goal of the cheapest order.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from hrl_escape.text.text_env import TextEnv
 
 
 class EscapePlan:
-    """Legs of the planner's escapes, by the state that each begins in."""
+    """Legs of the planner's escapes, by the initial state of each."""
 
     def __init__(self, planner: RoomPlanner) -> None:
         self.planner = planner
@@ -58,11 +58,11 @@ class EscapePlan:
         self._legs: dict[Hashable, tuple[Goal, tuple[int, ...]]] = {}
 
     def find(self, state: RoomState) -> tuple[Goal, tuple[int, ...]] | None:
-        """Goal and primitives of the leg that begins here, of a plan made before; None without one."""
+        """Return goal and primitives of the leg that begins in a state, from earlier plans, or None without one."""
         return self._legs.get((get_pose(state), state.puzzle))
 
     def choose(self, state: RoomState) -> Goal:
-        """The next goal from here, by a plan of the whole escape where that can be foreseen."""
+        """Return the next goal from a state, from a plan of the whole escape if that is predictable."""
         if self.find(state) is None and self._foresees:
             self._plan(state)
         leg = self.find(state)
@@ -71,7 +71,7 @@ class EscapePlan:
     def _plan(self, state: RoomState) -> None:
         try:
             plan = self.planner.solve(state)
-        except UnsupportedError:  # pushes
+        except UnsupportedError:  # escapes with pushes are not predictable
             self._foresees = False
             return
         for part in plan.parts:
@@ -80,7 +80,7 @@ class EscapePlan:
 
 
 class _Leg(PlannedOption):
-    """A planned option that takes the leg of an escape where one begins, and plans for itself elsewhere."""
+    """A planned option that follows the leg of an escape if one begins here, and plans for itself otherwise."""
 
     def __init__(self, name: str, plan: EscapePlan, goal: Goal) -> None:
         super().__init__(name, plan.planner, goal)
@@ -95,7 +95,7 @@ class _Leg(PlannedOption):
 
 
 def make_legs(plan: EscapePlan) -> tuple[Option, ...]:
-    """The room's meta-actions, which follow a plan of the whole escape where its legs begin."""
+    """Make the room's meta-actions, which follow a plan of the whole escape in states where its legs begin."""
     made = list(make_meta_options(plan.planner.instance, "press", plan.planner))
     for number, option in enumerate(made):
         if type(option) is PlannedOption:
@@ -113,34 +113,34 @@ class PlannerAgent(FixedPolicy):
         self._goals = [*list_goals(plan.planner.instance), ExitGoal()]
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """The leg of the plan that begins here; `PlanningFailed` where no order leads out."""
+        """Return the leg of the plan that begins here. Raises `PlanningFailed` if no order leads out."""
         del observation, action_mask
         return self._goals.index(self._plan.choose(self._room.get_state()))
 
 
 @dataclasses.dataclass(frozen=True)
 class Driver:
-    """An agent and the environment that it drives in."""
+    """An agent and its environment."""
 
-    name: str  # name for people
+    name: str  # display name
     agent: Agent  # the agent
     env: gymnasium.Env  # its environment
-    recorder: StateRecorder  # wrapper inside `env`, right around the flat room
+    recorder: StateRecorder  # wrapper inside `env`, directly around the flat room
     names: tuple[str, ...]  # names of the actions
-    primitives: int  # number of primitives among the actions; they come first
+    primitives: int  # number of primitives, which are the first actions
     option_set: str  # named option set
-    trains: bool = False  # the agent learns while it drives
-    plan: EscapePlan | None = None  # the plan that the planner follows; None for other drivers
-    text_env: TextEnv | None = None  # environment inside `env` with the transcript, where an agent calls tools
+    trains: bool = False  # whether the agent learns while it drives
+    plan: EscapePlan | None = None  # plan of the oracle, or None for other drivers
+    text_env: TextEnv | None = None  # environment inside `env` with the transcript, for agents that call tools
 
     @property
     def room(self) -> EscapeRoomEnv:
-        """The room under all wrappers, which shows where the robot is."""
+        """The room under all wrappers, with the current state."""
         room: Any = self.env.unwrapped
         return room
 
     def make_options(self) -> tuple[Option, ...]:
-        """Meta-actions like those of its environment, for previews that disturb none that runs."""
+        """Make meta-actions like the environment's, for previews that do not disturb a running one."""
         instance = self.room.instance
         if self.plan is not None:
             return make_legs(self.plan)
@@ -149,19 +149,19 @@ class Driver:
 
 def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *, observation: str | None = None,
                 seed: int = 0, trust: bool = False) -> Driver:
-    """Open the driver that a user names: a reference such as `oracle`, the folder of a run, or an agent to train.
+    """Open a driver by name: a reference such as `oracle`, the folder of a run, or an agent to train.
 
-    Observation and seed are those of an agent to train, by default the observation that it needs; a run's own is found
-    out. With `trust` a run's environment may import whatever code its folder names.
+    `observation` and `seed` apply to an agent to train; the observation defaults to the one that it needs. A run stores
+    its own. With `trust` a run's environment may import any code that its folder names.
 
     Raises:
-        UnknownNameError: neither a folder nor an agent has this name, or no part of a spec.
+        UnknownNameError: the name is neither a folder nor an agent, or a part of a spec is unknown.
         AgentSettingsError: the spec contradicts itself.
-        FileReadError: the folder holds no run.
+        FileReadError: the folder does not contain a run.
         CheckpointError: the run is damaged.
         TrustError: the run needs code from elsewhere, and `trust` is false.
         RunMismatchError: the run was made in a room with other spaces.
-        UnsupportedError: no hierarchy is synthesised for this agent.
+        UnsupportedError: this agent has no hierarchy for the room.
     """
     if isinstance(agent, str) and names_run(agent):
         return _open_run(Path(agent), instance, trust)
@@ -181,9 +181,9 @@ def open_driver(agent: str | AgentSpec | type[Agent], instance: RoomInstance, *,
 
 
 def find_driver(text: str) -> tuple[str, RoomInstance | None]:
-    """A driver as `open_driver` takes it, and its own room; None where it has none, or many.
+    """Return a driver for `open_driver`, and its own room, or None if it has no room, or many.
 
-    Where `text` names a rung with a pretrained agent, such as `lattice`, that agent is unpacked until the process ends,
+    If `text` names a rung with a pretrained agent, such as `lattice`, that agent is unpacked until the process ends,
     and the room is the rung's first test room.
     """
     rung = next((rung for rung in list_pretrained() if text in (rung, rung.rpartition("/")[2])), None)
@@ -196,7 +196,7 @@ def find_driver(text: str) -> tuple[str, RoomInstance | None]:
 
 
 def find_run_room(text: str) -> RoomInstance | None:
-    """Room of the run that `text` names; None where it names no run, or a run in many rooms."""
+    """Return the room of a run, or None if `text` is not a run, or the run has many rooms."""
     if text == ORACLE or not (Path(text) / "run.json").is_file():
         return None
     described = read_run(text)
@@ -207,7 +207,7 @@ def find_run_room(text: str) -> RoomInstance | None:
 
 def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     if not folder.is_dir():
-        raise FileReadError(f"{folder}: no such run; hrl-escape train leaves one in runs/")
+        raise FileReadError(f"{folder}: no such run. `hrl-escape train` writes runs to runs/")
     described = read_run(folder)
     with refusing_damage(f"{folder}: the description of this run"):
         name, spaces = described["name"], (described["observation_space"], described["action_space"])
@@ -217,7 +217,7 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         room = _make_room(instance, (kept["arguments"] or {}).get("observation", "features"))
         kept = {**kept, "arguments": room.unwrapped.describe()}
         room.close()
-        if kept["class"] == name_part(InstanceSetEnv):  # the room stands for a set, which no schedule goes round
+        if kept["class"] == name_part(InstanceSetEnv):  # the room replaces the whole set, which needs no schedule
             wrappers = [part for part in kept["wrappers"] if part["class"] != name_part(RoomSchedule)]
             kept |= {"class": name_part(EscapeRoomEnv), "wrappers": wrappers}
     env = make_described_env(kept, StateRecorder, trust=trust)
@@ -229,12 +229,12 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
 
 
 def names_run(text: str) -> bool:
-    """Return whether a driver's name is that of a run's folder."""
+    """Return whether the name of a driver is the folder of a run."""
     return text not in REFERENCES and (Path(text).exists() or "/" in text)
 
 
 def parse_driver(text: str) -> AgentSpec:
-    """Spec of an agent or of a reference; `UnknownNameError` where it names neither."""
+    """Return the spec of an agent or a reference. Raises `UnknownNameError` for other names."""
     try:
         return AgentSpec.parse(text)
     except UnknownNameError as error:

@@ -1,7 +1,7 @@
-"""A driver being watched: its last choice and plan, completed decisions, and a log of events.
+"""A watched driver: its last choice and plan, completed decisions, and a log of events.
 
-`Watch` wraps an agent and its environment and records what passes; it changes no number.
-Everything runs in the driver's thread; other threads only operate the gate and read.
+`Watch` wraps an agent and its environment and records their steps without changing them. Everything runs in the
+driver's thread; other threads only operate the gate and read.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ from hrl_escape.planning.planner import get_planner
 from hrl_escape.viewer.watch.drivers import Driver
 
 MOST = 400
-"""Maximum number of primitives in a preview."""
+"""Most primitives in a preview."""
 
 
 class Preview(NamedTuple):
     """Predicted course of an option."""
 
     name: str  # name of the option
-    states: tuple[RoomState, ...]  # all states, the first one included
+    states: tuple[RoomState, ...]  # all states, with the initial one
     pressed: tuple[str, ...] = ()  # names of the targets pressed on the way
-    escapes: bool = False  # the episode would end in the exit
-    problem: str = ""  # reason why the option fails, else empty
+    escapes: bool = False  # whether the episode would end in the exit
+    problem: str = ""  # reason why the option fails, otherwise empty
 
 
 class Previewer:
-    """Predicts meta-actions of a room without noise, with options of its own so that no running option is disturbed."""
+    """Predicts meta-actions of a room without noise, with its own options, which leaves running options undisturbed."""
 
     def __init__(self, instance: RoomInstance, options: Iterable[Option]) -> None:
         self._planner = get_planner(instance)
@@ -84,10 +84,10 @@ class Stopped(Exception):
 
 
 class Gate:
-    """Gate that lets primitives through at a pace (so many a second; None for no limit), one by one, or not at all.
+    """Gate that lets primitives pass at `pace` per second (None for no limit), one by one, or not at all.
 
     Attributes:
-        is_paused: only what `step` lets through passes.
+        is_paused: only primitives released by `step` pass.
         is_stopped: `stop` has closed the gate for good.
     """
 
@@ -98,21 +98,21 @@ class Gate:
         self._primitives, self._decisions = 0, 0
 
     def pause(self, paused: bool = True) -> None:
-        """Close the gate, or open it again."""
+        """Close or open the gate."""
         with self._turn:
             self.is_paused = paused
             self._primitives = self._decisions = 0
             self._turn.notify_all()
 
     def step(self, primitives: int = 0, decisions: int = 0) -> None:
-        """Let a number of primitives, or of whole decisions, through and close."""
+        """Let a number of primitives, or of whole decisions, pass, then close."""
         with self._turn:
             self.is_paused = True
             self._primitives, self._decisions = primitives, decisions
             self._turn.notify_all()
 
     def stop(self) -> None:
-        """Make the driver give up, waiting or not."""
+        """End the driver, whether it is waiting or not."""
         with self._turn:
             self.is_stopped = True
             self._turn.notify_all()
@@ -127,7 +127,7 @@ class Gate:
                 self._primitives -= 1
 
     def end_decision(self) -> None:
-        """Note that a decision is over."""
+        """Record the end of a decision."""
         with self._turn:
             if self._decisions:
                 self._decisions -= 1
@@ -144,19 +144,19 @@ class ObservedChoice:
 
     action: int  # the chosen action
     mask: NDArray[np.bool_]  # legal actions, bool (actions,)
-    values: NDArray[Any] | None  # one number an action; None if the agent computes none
+    values: NDArray[Any] | None  # one number per action, or None if the agent computes none
     meaning: str  # meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values
-    state_value: float | None  # V(s) of the critic, or the highest legal Q; None if the agent has neither
+    state_value: float | None  # V(s) of the critic or the highest legal Q; None without both
     state: RoomState  # state of the room
-    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)  # on each press, of a search baseline, by action
+    notes: Mapping[int, str] = dataclasses.field(default_factory=dict)  # notes of a search baseline, by action
 
 
 class CompletedDecision(NamedTuple):
-    """A decision, and the SMDP transition that it gave."""
+    """A decision and its SMDP transition."""
 
-    name: str  # of the primitive or option
+    name: str  # name of the primitive or option
     transition: SMDPTransition
-    ended: str  # how the option ended, as in `info["option"]["ended"]`
+    ended: str  # value of `info["option"]["ended"]`
 
 
 @dataclasses.dataclass(frozen=True)
@@ -164,8 +164,8 @@ class ShownCall:
     """One running call of a hierarchical agent."""
 
     call: RunningCall  # the call
-    began: int  # primitives of the episode when it was called
-    reward: float  # undiscounted reward of the room since then
+    began: int  # primitives in the episode at the time of the call
+    reward: float  # undiscounted reward since then
 
     @property
     def name(self) -> str:
@@ -180,22 +180,22 @@ class ShownCall:
 
 
 class Watch:
-    """Record of a driver while it drives, its primitives through a gate, in episodes of a seed.
+    """Record of a driver while it drives. Its primitives pass a gate; its episodes follow from a seed.
 
     Attributes:
         choice: the last choice.
-        plan: predicted course of the running option, from where it began; None for primitives.
-        calls: running calls behind the last choice, the outermost first; none for agents without a stack.
+        plan: predicted course of the running option, from its beginning, or None for primitives.
+        calls: running calls behind the last choice, the outermost first; empty for agents without a stack.
         decisions: the last completed decisions, oldest first.
         events: log lines, oldest first; each begins with episode and primitive.
         values: (primitives so far, V) at decisions.
-        states: states of the present episode.
-        rewards: its rewards, one a primitive.
-        episode: number of the present episode, from 1.
-        total: undiscounted return of the present episode so far.
-        primitives: primitives of all episodes.
-        in_decision: primitives of the present decision so far.
-        on_change: called after every choice (with None) and every primitive; may take its time.
+        states: states of the current episode.
+        rewards: rewards of the current episode, one per primitive.
+        episode: number of the current episode, from 1.
+        total: undiscounted return of the current episode so far.
+        primitives: number of primitives in all episodes.
+        in_decision: number of primitives in the current decision so far.
+        on_change: called after every choice (with None) and every primitive; may block.
         on_wait: called before every primitive.
     """
 
@@ -219,7 +219,7 @@ class Watch:
         recorder.on_step, recorder.before_step, recorder.on_reset = self._note_step, self._wait, self._note_reset
 
     def run(self, episodes: int | None = None) -> None:
-        """Drive until `gate.stop()` or for a number of episodes; an agent in training learns."""
+        """Drive until `gate.stop()` or for a number of episodes. An agent in training learns."""
         agent, env = _WatchedAgent(self), _WatchedEnv(self)
         try:
             if self.driver.trains:
@@ -235,7 +235,7 @@ class Watch:
             pass
 
     def read(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> ObservedChoice:
-        """Read the agent's own numbers at an observation."""
+        """Read the agent's numbers at an observation."""
         agent = self.driver.agent
         state_value = agent.compute_state_value(observation)
         shown, meaning = agent.compute_values(observation), "value"
@@ -249,7 +249,7 @@ class Watch:
                               self.states[-1], notes)
 
     def read_graph(self) -> frozenset[tuple[int, int]] | None:
-        """Edges (parent, child) among targets that the agent believes in now; None where it has no graph."""
+        """Return the edges (parent, child) among targets that the agent believes in, or None if it has no graph."""
         graph, places = self.driver.agent.get_graph(), self.driver.room.observer.light_places
         return find_target_edges(graph, places) if graph is not None and places else None
 
@@ -265,7 +265,7 @@ class Watch:
         self.on_change(None)
 
     def _note_calls(self) -> None:
-        """Record the running calls, and log those that are over."""
+        """Record the running calls, and log the finished ones."""
         here = len(self.rewards)
         calls = tuple(
             ShownCall(call, here - call.primitives, sum(self.rewards[here - call.primitives :]))
@@ -316,7 +316,7 @@ class Watch:
 
 
 class _WatchedAgent(Agent):
-    """The driver's agent, recording each choice; `train` and `play_episode` take it like any agent."""
+    """The driver's agent with a record of each choice; `train` and `play_episode` accept it like any agent."""
 
     def __init__(self, watch: Watch) -> None:
         self._watch = watch
@@ -347,7 +347,7 @@ class _WatchedAgent(Agent):
 
 
 class _WatchedPolicy(Policy):
-    """The driver's policy, recording each choice."""
+    """The driver's policy with a record of each choice."""
 
     def __init__(self, watched: _WatchedAgent, policy: Policy) -> None:
         self._watched, self._policy, self.is_markov = watched, policy, policy.is_markov
@@ -366,7 +366,7 @@ class _WatchedPolicy(Policy):
 
 
 class _WatchedEnv(gymnasium.Wrapper):
-    """The driver's environment, recording each completed decision."""
+    """The driver's environment with a record of each completed decision."""
 
     def __init__(self, watch: Watch) -> None:
         super().__init__(watch.driver.env)

@@ -218,7 +218,7 @@ class Twice(gymnasium.Wrapper):
 
 def test_decisions_of_several_primitives_and_many_environments_are_refused():
     env = Twice(BitFlip(3))
-    with pytest.raises(StepContractError, match="ran 2 primitives; hindsight_goals are for decisions of one"):
+    with pytest.raises(StepContractError, match="ran 2 primitives; hindsight_goals need decisions of one"):
         learn(make(env, hindsight_goals=4), env, 1)
     with pytest.raises(AgentSettingsError, match="0 in many environments at once"):
         make(BitFlip(3), hindsight_goals=4).begin_episodes(2, torch.device("cpu"))

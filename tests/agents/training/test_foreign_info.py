@@ -83,7 +83,7 @@ def test_where_they_cannot_be_read_one_error_says_so(kind, info, message):
 @each_kind
 @pytest.mark.parametrize("reward", [np.array([1.0, 2.0]), [1.0, 2.0], {"speed": 1.0}, None, "much"], ids=str)
 def test_a_reward_of_several_numbers_is_refused_with_the_advice_to_weigh_them(kind, reward):
-    with pytest.raises(StepContractError, match="rewards must be numbers, one a step. .* weigh them in a wrapper"):
+    with pytest.raises(StepContractError, match="rewards must be numbers, one per step. .* combine them in a wrapper"):
         run(kind, reward=reward)
 
 

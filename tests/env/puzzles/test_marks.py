@@ -276,7 +276,7 @@ def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
     marked, bare = generate(make_with(MarksConfig("rank")), 0), generate(make_with(MarksConfig()), 0)
     with pytest.raises(UnsupportedError, match="marks on targets"):
         EscapeRoomVectorEnv(2, instance=[marked, bare], observation="objects")
-    with pytest.raises(UnsupportedError, match="draw no marks"):
+    with pytest.raises(UnsupportedError, match="cannot draw marks"):
         EscapeRoomVectorEnv(1, instance=marked, render_mode="rgb_array")
 
 
@@ -284,7 +284,7 @@ def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
     ({"kind": "rank", "levels": 8, "symbols": 6}, "marks.symbols = 6 is not possible: at least 8"),
     ({"kind": "rank", "symbols": 97}, "97"),
     ({"kind": "wires", "motifs": 2}, "marks.motifs = 2 is not possible: 1 with wires"),
-    ({"kind": "needed", "motifs": 3}, "marks.motifs = 3 is not possible: at most 2, the orders of 2 classes"),
+    ({"kind": "needed", "motifs": 3}, "marks.motifs = 3 is not possible: at most 2, the number of orders of 2 classes"),
     ({"kind": "rank", "truth": 1.5}, "1.5"),
     ({"kind": "colour"}, "needed"),
 ])

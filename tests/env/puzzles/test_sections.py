@@ -64,6 +64,6 @@ def test_likelihoods_are_those_of_the_draws():
 
 @pytest.mark.parametrize("changes", [{"doors": 1}, {"buttons": Panels(places="paper")}])
 def test_sections_are_refused_where_something_else_decides_on_places(changes):
-    with pytest.raises(ConfigError, match="0 where doors or fixed places"):
+    with pytest.raises(ConfigError, match="0 if doors or fixed places"):
         config = make_with(SectionsConfig(count=4))
         dataclasses.replace(config.puzzle, **changes)

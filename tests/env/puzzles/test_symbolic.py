@@ -84,5 +84,5 @@ def test_an_operator_is_relevant_by_what_a_condition_reads():
 
 
 def test_a_puzzle_of_too_many_states_is_told_to_bring_a_model():
-    with pytest.raises(UnsupportedError, match=f"'lights-out' has more than {MOST_DERIVED:,} states: make it Modelled"):
+    with pytest.raises(UnsupportedError, match=f"'lights-out' has more than {MOST_DERIVED:,} states. Make it Modelled"):
         DerivedModel(Counter(1, 1)).make_symbolic_model()

@@ -154,7 +154,7 @@ def test_a_state_to_which_nothing_leads_is_not_put_into_a_batch():
     assert room.get_room_state(0) == lifted
     stuck = puzzle.encode((0, 1, 2, 3))  # no peg had the fourth disc on top, nor takes it
     assert puzzle.is_state(stuck)
-    with pytest.raises(StateError, match="no presses or grips lead to the state"):
+    with pytest.raises(StateError, match="is unreachable by presses and grips"):
         room.set_room_state(0, state._replace(puzzle=stuck))
 
 
@@ -220,7 +220,7 @@ class Endless(Lamp):
 
 @pytest.mark.parametrize(("lamp", "why"), [
     (Watching(), "they watch every primitive"), (Placed(), "they read contacts.x"), (Led(), "they read contacts.ahead"),
-    (Reversed(), "a and b at once do something else in the state"), (Paired(), "a and b at once do something else"),
+    (Reversed(), "a and b at once have another effect in the state"), (Paired(), "a and b at once have another effect"),
     (Fickle(), "they read contacts.uniform and list no chances"), (Endless(), "they have more than 1,000 states")])
 def test_rules_that_a_table_would_get_wrong_are_refused_with_the_reason(lamp, why, monkeypatch):
     monkeypatch.setattr(table_module, "MOST_TABULATED", 1000)

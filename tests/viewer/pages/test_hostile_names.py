@@ -136,8 +136,8 @@ def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: S
     try:
         page.click("1 decision")
         page.wait("document.querySelector('#facts').dataset.decisions === '1'")
-        page.click("What if")
-        page.click("What if it took this option?")
+        page.click("Preview")
+        page.click("Preview this option")
         page.wait("document.querySelector('#preview')?.innerText.includes('presses') || "
                   "document.querySelector('#preview')?.innerText.includes('cannot')")
         page.click("Log")

@@ -191,8 +191,8 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
     row = json.dumps([name, str(step.duration), f"{step.reward:.2f}", f"{step.discount:.4f}"])
     page.wait("JSON.stringify([...(document.querySelector('#smdp tbody tr')?.children ?? [])].slice(0, 4)"
               f".map(c => c.innerText)) === JSON.stringify({row})")
-    page.click("What if")
-    page.click("What if it took this option?")
+    page.click("Preview")
+    page.click("Preview this option")
     page.wait("document.querySelector('#preview')?.innerText.includes('primitives')")
     told = page.run("document.querySelector('#preview').innerText")
     preview = view.watch.previewer.preview("press-button-1", view.watch.states[-1])

@@ -130,7 +130,7 @@ def test_an_episode_that_does_not_play_out_as_it_says_is_refused(two_buttons, tm
     save_episode(path, episode.to_saved())
     _spoil(path, **{"return": 99.0})
     saved = load_episode(path)
-    with pytest.raises(EpisodeFileError, match="the file says 99"):
+    with pytest.raises(EpisodeFileError, match="the file states 99"):
         Episode(saved.instance, seed=saved.seed).replay(saved)
 
 
@@ -140,7 +140,7 @@ def test_an_episode_that_does_not_escape_as_it_says_is_refused(two_buttons, tmp_
     save_episode(tmp_path / "mine.json", episode.to_saved())
     _spoil(tmp_path / "mine.json", end="escaped")
     saved = load_episode(tmp_path / "mine.json")
-    with pytest.raises(EpisodeFileError, match="the replay ends stopped, the file says escaped"):
+    with pytest.raises(EpisodeFileError, match="the replay ends stopped, the file states escaped"):
         Episode(saved.instance, seed=saved.seed).replay(saved)
     _spoil(tmp_path / "mine.json", end="fled")
     with pytest.raises(EpisodeFileError, match="'fled' is not a valid EpisodeEnd"):
@@ -168,5 +168,5 @@ def test_a_file_that_is_one_primitive_off_in_its_return_is_refused(tmp_path, two
     play(episode, ["forward", "press-button-1"])
     saved = episode.to_saved()
     for wrong in (saved.total + 1.0, saved.total - 1.0, saved.total + 1e-3):
-        with pytest.raises(EpisodeFileError, match="the file says"):
+        with pytest.raises(EpisodeFileError, match="the file states"):
             Episode(saved.instance, seed=saved.seed).replay(dataclasses.replace(saved, total=wrong))

@@ -1,7 +1,7 @@
 """Decision transformer over options: a choice as a continuation of a trajectory of high return (Chen et al. 2021).
 
-A token is one decision: the state, the return still to come, and the option before it with its duration, without which
-what it cost could not be told from what it was. Published tokens are one primitive each, three in a row.
+A token is one decision: the state, the remaining return, and the previous option with its duration, which explains its
+cost. Published tokens are one primitive each, three in a row.
 """
 
 from __future__ import annotations
@@ -29,75 +29,76 @@ HEADS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionTransformerSettings(AgentSettings):
-    """Size of the transformer and the return it is asked for, beside the settings of every offline agent."""
+    """Settings of `decision-transformer`: its size, the requested return, and the settings of every offline agent."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform with zero bias, as in Keras; or orthogonal with zero bias,
+    usual for PPO."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     loss: Literal["huber", "squared"] = "huber"
-    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
+    """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in an update."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
-    """Updates from replay for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
+    """Updates for each step of the clock. More learn more from the same experience and take longer."""
     stream_updates: Annotated[int, Range(1)] = 16
-    """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
-    learned from as often; much fewer and larger ones learn less, as the target network follows updates."""
+    """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
+    learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Decisions of each stream, on average, for which replay has room at least."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     passes: Annotated[int, Range(1)] = 50
-    """Passes over the data, where `train` is given no budget."""
+    """Passes over the data, if `train` has no budget."""
     values: Literal["auto", "table", "network"] = "auto"
-    """`table`: exact backups over the states that the data shows. `auto`: a table where the data shows each state ten
-    times or more, on average, and the observation has no rows of objects, which networks carry to other rooms."""
+    """`table`: exact backups over the states of the data. `auto`: a table if each state occurs at least ten times on
+    average and the observation has no rows of objects, which let networks generalise to other rooms."""
     network: Literal["mlp", "objects"] = "objects"
-    """`objects`: deep sets over rows of objects; `mlp`: a perceptron, also where the observation has no rows."""
+    """`objects`: deep sets over the observation's rows of objects. `mlp`: a perceptron over the whole observation."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
-    """Share of a network blended into its target at each update."""
+    """Share of a network blended into its target at each update. Smaller rates are slower and more stable."""
     context: Annotated[int, Range(1)] = 12
-    """Decisions that it sees, the present one included."""
+    """Number of decisions in its context, including the current one. More see longer dependencies and take longer."""
     width: Annotated[int, Range(1)] = 16
     """Units of a token for each of the four heads of attention."""
     layers: Annotated[int, Range(1)] = 2
     """Layers of attention."""
     target: Annotated[float, Range(0, 1)] = 0.95
-    """Quantile of the returns of whole trajectories that it is asked for."""
+    """Quantile of the returns of whole trajectories that it is conditioned on."""
 
 
 class _Layer(nn.Module):
@@ -119,7 +120,7 @@ class _Layer(nn.Module):
 
 
 class _Transformer(nn.Module):
-    """From tokens (batch, length, numbers), the last number 1 where there is one, to logits of actions."""
+    """From tokens (batch, length, numbers), whose last number is 1 for real tokens, to logits of actions."""
 
     places: Tensor
 
@@ -144,9 +145,9 @@ class _Transformer(nn.Module):
 
 
 class DecisionTransformer(OfflineAgent):
-    """pi(o_t | s_t, G_t, and the decisions before), G_t the plain return that is still wanted.
+    """pi(o_t | s_t, G_t, and the decisions before), with G_t the plain return still requested.
 
-    In evaluation G falls by what was earned; the history is that of the episode, told apart by its generator.
+    In evaluation, rewards are subtracted from G. The history belongs to the episode, identified by its generator.
     """
 
     acting: ClassVar[str] = "policy"
@@ -181,7 +182,7 @@ class DecisionTransformer(OfflineAgent):
         self._starts = starts
 
     def _make_token(self, encoded: NDArray, left: float, option: int, duration: int) -> NDArray[np.float32]:
-        """One decision as numbers: the state, the return wanted, the option before and its duration."""
+        """One decision as numbers: the state, the requested return, the previous option and its duration."""
         before = np.zeros(self._actions)
         if option >= 0:
             before[option] = 1.0
@@ -190,12 +191,12 @@ class DecisionTransformer(OfflineAgent):
 
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:
-        """One network, the policy: from tokens (batch, length, numbers) to logits (batch, length, actions)."""
+        """Make the policy network: from tokens (batch, length, numbers) to logits (batch, length, actions)."""
         numbers = int(np.prod(encoder.shape)) + self._actions + 3
         return {"policy": Network(_Transformer(numbers, self._actions, settings, generator))}
 
     def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
-        """Cross entropy with the choices of windows that end at the batch's decisions."""
+        """Return the cross entropy with the choices of windows that end at the batch's decisions."""
         window = rows[:, None] - np.arange(self.settings.context)[None, ::-1]
         present = window >= self._starts[rows][:, None]
         tokens = np.where(present[:, :, None], self._rows[np.maximum(window, 0)], 0.0).astype(np.float32)
@@ -205,7 +206,7 @@ class DecisionTransformer(OfflineAgent):
         return functional.cross_entropy(logits[kept], self._data.action[index][kept]), {}
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits at an observation as the first of an episode, (actions,)."""
+        """Return the logits at an observation as the first of an episode, (actions,)."""
         return self._ask([self._make_token(self._encoder.encode(observation), self._wanted, -1, 0)])
 
     def _ask(self, tokens: list[NDArray[np.float32]]) -> NDArray:
@@ -215,7 +216,7 @@ class DecisionTransformer(OfflineAgent):
         return self.networks["policy"].compute(window)[-1]
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest legal choice, given the episode so far."""
+        """Return the likeliest legal choice, given the episode so far."""
         if rng is not self._episode:
             self._episode, self._tokens, self._left, self._before = rng, [], self._wanted, (-1, 0)
         self._tokens.append(self._make_token(self._encoder.encode(observation), self._left, *self._before))
@@ -223,7 +224,7 @@ class DecisionTransformer(OfflineAgent):
         return choose_best(self._ask(self._tokens), action_mask)
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
-        """Take what was earned off the return that is wanted."""
+        """Subtract the reward from the requested return."""
         if rng is self._episode:
             self._left -= transition.summed_reward
             self._before = (transition.action, transition.duration)

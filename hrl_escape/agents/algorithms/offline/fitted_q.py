@@ -1,8 +1,8 @@
 """Fitted Q-iteration over decisions of any duration (Ernst, Geurts and Wehenkel 2005) on SMDP backups.
 
-In a table it is value iteration on the data's empirical MDP, over the actions that the data shows; from data that shows
-every state and action it finds the optimal values. Networks take the maximum over all legal actions, so that values of
-what the data never shows run ahead (Fujimoto, Meger and Precup 2019): `cql` and `iql` are made against that.
+In a table it is value iteration on the data's empirical MDP, over the actions in the data; from data with every state
+and action it finds the optimal values. Networks take the maximum over all legal actions, and values of actions outside
+the data can grow too large (Fujimoto, Meger and Precup 2019). `cql` and `iql` avoid that.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from hrl_escape.agents.components.replay import Experience
 class FittedQ(OfflineAgent):
     """Q(s, o) <- mean of R + gamma^k (1 - terminated) max over o' of Q(s', o').
 
-    Networks are trained as double Q-learning is: the online network chooses o', the target network values it.
+    Networks use double Q-learning: the online network chooses o', the target network values it.
     """
 
     Settings: ClassVar[type] = OfflineSettings
     heads = {"q": "action", "target_q": "action"}
 
     def improve(self, table: DecisionTable, q: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """A sweep of exact backups; what the data never shows scores below what it shows."""
+        """Make a sweep of exact backups; actions outside the data score below all others."""
         found = table.back_up(np.where(table.shown, q, -np.inf).max(axis=1))
         return found, np.where(table.shown, found, min(table.worst, found.min()) - 1.0)
 
     def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
-        """Temporal-difference loss, and what `penalise` adds."""
+        """Return the temporal-difference loss, plus the result of `penalise`."""
         values = self.networks["q"](batch.observation)
         with torch.no_grad():
             best = self.networks["q"](batch.next_observation).masked_fill(~batch.next_mask, -torch.inf).argmax(1, True)
@@ -45,6 +45,6 @@ class FittedQ(OfflineAgent):
         return loss, {"value": chosen.mean().item() / self.settings.reward_scale}
 
     def penalise(self, values: Tensor, chosen: Tensor, batch: Experience) -> Tensor | float:
-        """Addition to the loss; none here."""
+        """Return an addition to the loss; 0 here."""
         del values, chosen, batch
         return 0.0

@@ -1,7 +1,7 @@
-"""HIQL: one value function, a policy over subgoals and a policy that goes there (Park et al. 2023), over options.
+"""HIQL: one value function, a policy over subgoals and a policy towards them (Park et al. 2023), over options.
 
-Published with subgoals a fixed number of steps ahead. Here the subgoal is the state in which the data's option ended.
-All three learn at every primitive from what was left of the option, since the subgoal is predicted anew at each.
+The published subgoals are a fixed number of steps ahead. Here the subgoal is the state where the data's option ended.
+All three parts learn at every primitive from the rest of the option, because the subgoal is predicted again at each.
 """
 
 from __future__ import annotations
@@ -23,10 +23,9 @@ from hrl_escape.errors import AgentSettingsError
 
 
 def cut_everywhere(data: RecordedDecisions, primitives: Primitives, gamma: float, actions: int) -> RecordedDecisions:
-    """Make a decision of what is left of an option at each of its primitives: that primitive, and the option's end.
+    """Make one decision per primitive of an option: from that primitive to the option's end.
 
-    One row a primitive of the data; `action` is the primitive, one of `actions`, and reward, duration and discount are
-    of the rest of the option.
+    `action` is the primitive, one of `actions`; reward, duration and discount belong to the rest of the option.
     """
     decision = np.cumsum(primitives.begins) - 1
     left = np.cumsum(data.duration)[decision] - np.arange(len(decision))
@@ -42,11 +41,11 @@ def cut_everywhere(data: RecordedDecisions, primitives: Primitives, gamma: float
 
 
 class HIQL(OfflineAgent):
-    """V is the expectile of R + gamma^k (1 - terminated) V(s') over what is left of options, k primitives, R earned.
+    """V is the expectile of R + gamma^k (1 - terminated) V(s') over the rest of options, of k primitives and reward R.
 
     The high policy predicts s', weighted by exp(inverse temperature x (R + gamma^k V(s') - V(s))); the low policy
-    clones the primitive given s and s'. It acts by primitives, under the name `hiql`; each row of a minibatch teaches
-    one primitive, so that `decisions` in its log are primitives too.
+    clones the primitive given s and s'. The agent `hiql` acts by primitives. Each row of a minibatch trains one
+    primitive, and `decisions` in its log therefore counts primitives too.
     """
 
     heads = {"value": "state", "target_value": "state"}
@@ -56,22 +55,22 @@ class HIQL(OfflineAgent):
     settings: IQLSettings
 
     def begin(self, data: RecordedDecisions, primitives: Primitives | None = None) -> None:
-        """Take decisions and the primitives inside them; `AgentSettingsError` without primitives."""
+        """Load decisions and the primitives inside them. Raises `AgentSettingsError` without primitives."""
         if primitives is None:
             raise AgentSettingsError("data", "decisions alone", "a data set with the primitives inside its decisions")
         rest = cut_everywhere(data, primitives, self.settings.gamma, self._actions)
-        super().begin(rest._replace(duration=np.ones_like(rest.duration)))  # a row teaches one primitive
+        super().begin(rest._replace(duration=np.ones_like(rest.duration)))  # a row trains one primitive
 
     def make_networks(self, encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
                       generator: torch.Generator) -> dict[str, Network]:
-        """V and its target, the subgoal predicted from a state, and the logits of primitives given both."""
+        """Make V and its target, the subgoal predicted from a state, and the logits of primitives given both."""
         size = int(np.prod(encoder.shape))
         return super().make_networks(encoder, action_space, settings, generator) | {
             "high": make_network(encoder, size, settings, generator),
             "low": make_network(encoder, self._actions, settings, generator, size)}
 
     def compute_loss(self, batch: Experience, rows: NDArray[np.int64]) -> tuple[Tensor, dict[str, float]]:
-        """Sum of the losses of the value, of the subgoals, and of the primitives towards them."""
+        """Return the sum of the losses of the value, of the subgoals, and of the primitives towards them."""
         settings, networks = self.settings, self.networks
         values = networks["value"](batch.observation).squeeze(1)
         with torch.no_grad():
@@ -85,6 +84,6 @@ class HIQL(OfflineAgent):
         return loss, {"value": values.mean().item() / settings.reward_scale}
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the primitives towards the predicted subgoal, (actions,)."""
+        """Return the logits of the primitives towards the predicted subgoal, (actions,)."""
         encoded = self._encoder.encode(observation)
         return self.networks["low"].compute(np.concatenate([encoded, self.networks["high"].compute(encoded.copy())]))

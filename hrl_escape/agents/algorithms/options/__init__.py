@@ -1,1 +1,1 @@
-"""Options learned end to end: policies, terminations and the choice among them from one stream of rewards."""
+"""Options learned end to end: policies, terminations and the policy over options from one reward signal."""

@@ -1,6 +1,6 @@
 """Double actor-critic: options learned as two ordinary decision processes on one trajectory, each by PPO.
 
-Zhang and Whiteson (2019), on the clipped objective of Schulman et al. (2017). With one option it is `ppo`, to the bit.
+Zhang and Whiteson (2019), on the clipped objective of Schulman et al. (2017). With one option it equals `ppo` exactly.
 """
 
 from __future__ import annotations
@@ -26,63 +26,65 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class DACSettings(AgentSettings):
-    """Options, their terminations and the clipped updates of `dac`."""
+    """Settings of `dac`: options, their terminations and the clipped updates."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
+    """Number of options to learn."""
     initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
+    """Initial probability of ending an option. Smaller values make the first options longer."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
+    """Weight of the policy's entropy in the loss. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    """Lambda of generalised advantage estimation. 1 has the most variance, and no bias from the critic."""
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
+    """Decisions collected before each round of updates, of all environments together. More make steadier updates, and
+    fewer of them."""
     stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
+    """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
+    many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
+    """Passes over a rollout. More learn more from it and move further from the policy that collected it."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in a minibatch of a rollout of `rollout` decisions."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Bound on how far the probability ratio may move to any advantage."""
+    """Bound on how far the probability ratio may move to any advantage. Smaller is slower and steadier."""
     normalise_advantages: bool = True
-    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
-    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
+    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Before the first success that blows
+    noise up to full-sized steps."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the entropy of the choice of options in the loss."""
+    """Weight of the entropy of the policy over options in the loss. More keeps more options in use."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
-    """Weight of the mean termination in the loss; above 0 options last longer."""
+    """Weight of the mean termination in the loss. More makes options last longer."""
 
 
 class DAC(StreamOptionAgent):
@@ -92,9 +94,9 @@ class DAC(StreamOptionAgent):
               value v(s, o-) = sum over o of pi(o | s, o-) q(s, o)
         low:  state (s, o), action a     pi_o(a | s), value q(s, o)
 
-    o- is the option before; in an episode's first state pi is pi_Omega. Advantages and old probabilities of both are
-    computed with the networks that chose; then one process goes through all of its epochs, then the other, in random
-    order. An episode that was cut bootstraps both by v(s', o). Terminations learn through pi alone.
+    o- is the previous option; in an episode's first state pi is pi_Omega. Advantages and old probabilities of both are
+    computed with the networks that chose. One process then runs through all of its epochs, then the other, in random
+    order. A truncated episode bootstraps both by v(s', o). Terminations learn through pi alone.
     """
 
     settings: DACSettings
@@ -110,7 +112,7 @@ class DAC(StreamOptionAgent):
             low = compute_advantages(rollout, low_values, low_next, settings)
             log_probability = self.heads.compute_old_log_probability(rollout, choices)
             updates = [(self.compute_low_loss, log_probability, low, low + low_values)]
-            if self.options > 1:  # a choice among one is none
+            if self.options > 1:  # a single option leaves no choice
                 high = compute_advantages(rollout, high_values, high_next, settings)
                 log_choice = choices.log_probability
                 if log_choice is None:
@@ -128,13 +130,13 @@ class DAC(StreamOptionAgent):
 
     def compute_low_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                          advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
-        """Loss of actions within options over some rows, and its parts."""
+        """Return the loss of actions within options over some rows, and its parts."""
         return self.heads.compute_option_loss(rollout.observation[rows], rollout.mask[rows], choices.option[rows],
                                         rollout.action[rows], old_log_probability, advantage, target)
 
     def compute_high_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                           advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
-        """Loss of the choice of options over some rows, and its parts; the value's goes through the critic alone."""
+        """Return the loss of the policy over options over some rows, and its parts; values only train the critic."""
         settings, observation = self.settings, rollout.observation[rows]
         former = choices.former[rows]
         choice = self.heads.compute_option_choice(observation, former)

@@ -1,8 +1,7 @@
-"""FeUdal Networks: a manager sets directions in a latent space of its own, a worker is paid for going that way.
+"""FeUdal Networks: a manager sets directions in a learned latent space, and a worker is rewarded for following them.
 
-Vezhnevets et al. (2017), over perceptrons in place of the convolutional front and of both recurrent nets. With
-`horizon` 1 a direction holds for one decision, and no hierarchy is left: the ablation that a result is to be read
-beside.
+Vezhnevets et al. (2017), with perceptrons instead of the convolutional front and both recurrent networks. With
+`horizon` 1 a direction applies to one decision, and there is no hierarchy: the ablation to compare results with.
 """
 
 from __future__ import annotations
@@ -45,48 +44,50 @@ class FunSettings(AgentSettings):
     """Settings of `fun`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
+    """Weight of the policy's entropy in the loss. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
     gae_lambda: Annotated[float, Range(0, 1)] = 1.0
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    """Lambda of generalised advantage estimation. 1 has the most variance, and no bias from the critic."""
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     horizon: Annotated[int, Range(1)] = 10
-    """c, decisions over which a direction is to be followed; 1 leaves no hierarchy."""
+    """c, number of decisions under one direction. Longer horizons make the manager more abstract; 1 removes the
+    hierarchy."""
     direction_units: Annotated[int, Range(1)] = 16
-    """Numbers in the manager's latent state, and in a direction."""
+    """Size of the manager's latent state, and of a direction."""
     embedding_units: Annotated[int, Range(1)] = 8
-    """k, numbers of a direction that the worker is told."""
+    """k, size of the embedding of directions that the worker receives."""
     intrinsic_weight: Annotated[float, Range(0)] = 0.5
-    """alpha, weight of the pay for following directions beside the environment's scaled reward."""
+    """alpha, weight of the reward for following directions, relative to the environment's scaled reward."""
     random_directions: Annotated[float, Range(0, 1)] = 0.05
-    """Share of directions that are drawn at random."""
+    """Fraction of random directions. More explores more."""
     rollout: Annotated[int, Range(2)] = 40
     """Decisions collected before each update."""
 
@@ -111,19 +112,19 @@ class FunLayers(nn.Module):
         self.manager_value, self.worker_value = make(width, 1), make(width, 1)
 
     def see(self, observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Percept z (n, units), latent state s and direction g of length 1, (n, direction units)."""
+        """Return percept z (n, units), latent state s and direction g of length 1, (n, direction units)."""
         percept = self.percept(observation)
         state = functional.relu(self.state(percept))
         return percept, state, functional.normalize(self.direct(state), dim=1)
 
     def compute_logits(self, percept: Tensor, followed: Tensor) -> Tensor:
-        """U w, w = phi(sum of directions), (n, actions)."""
+        """Return U w, w = phi(sum of directions), (n, actions)."""
         table = self.act(percept).unflatten(1, self._shape)
         return (table @ self.embed(followed)[:, :, None]).squeeze(2)
 
 
 def sum_directions(directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor:
-    """Sum of the directions (n, units) of a decision and of the `horizon` before it in its episode, (n, units)."""
+    """Return the sum of a decision's direction and the `horizon` before it in its episode, (n, units)."""
     episode, total = is_fresh.cumsum(0), directions.clone()
     for lag in range(1, min(horizon, len(directions) - 1) + 1):
         same = (episode[lag:] == episode[:-lag])[:, None]
@@ -134,8 +135,8 @@ def sum_directions(directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor
 def pay_for_following(states: Tensor, reached: Tensor, directions: Tensor, is_fresh: Tensor, horizon: int) -> Tensor:
     """R^I = 1/c sum over i = 1..c of cos(s_(t+1) - s_(t+1-i), g_(t+1-i)), within the episode, (n,).
 
-    States s_t and `reached` s_(t+1), also where an episode ended, and directions g_t are (n, units); `is_fresh`, bool
-    (n,), says that a decision begins an episode.
+    States s_t and `reached` s_(t+1), also at the end of an episode, and directions g_t are (n, units); `is_fresh`, bool
+    (n,), marks decisions that begin an episode.
     """
     episode, pay = is_fresh.cumsum(0), torch.zeros(len(states))
     for lag in range(min(horizon, len(states))):
@@ -146,15 +147,15 @@ def pay_for_following(states: Tensor, reached: Tensor, directions: Tensor, is_fr
 
 
 class Fun(Agent):
-    """One step down the sum of these losses for every rollout.
+    """Makes one step on the sum of these losses per rollout.
 
         manager  - A^M_t cos(s_(t+c) - s_t, g_t), no gradient into s;  A^M of the environment's rewards
         worker   - A^W_t log pi(a_t | s_t) - weight x entropy;         A^W of R + alpha R^I, no gradient into g
         critics  half the squared errors of V^M and V^W, functions of the percept
 
-    pi is the softmax of U(z) w over legal actions, w = phi(the sum of the directions of the last c decisions and this
-    one). Both levels discount by gamma^k. Sums end at the episode's beginning. The manager learns of a decision once
-    the c after it are there, where the episode goes on so long.
+    pi is the softmax of U(z) w over legal actions, w = phi(the sum of the directions of this decision and the last c).
+    Both levels discount by gamma^k. Sums end at the beginning of the episode. The manager learns from a decision once
+    the c after it are available, if the episode is long enough.
     """
 
     Settings: ClassVar[type] = FunSettings
@@ -169,12 +170,12 @@ class Fun(Agent):
         network = Network(self.layers)
         self._learner = Learner(self.name, {"layers": network}, ["layers"], settings)
         self._rows: list[tuple] = []
-        """Decisions, the c before those that are new included; their memory is the direction that was followed, and 1
-        where an episode begins."""
+        """Collected decisions, preceded by the last c of the previous rollout. Their memory is the followed direction,
+        and 1 at the beginning of an episode."""
         self._new = 0
         self._followed: list[NDArray] = []
-        """Directions of this episode's decisions, the last c + 1 of them."""
-        self._asked: list[NDArray] = []  # the same with that of the latest choice
+        """Directions of this episode's last c + 1 decisions."""
+        self._asked: list[NDArray] = []  # the same with the direction of the latest choice
         self._action_rng = make_rng(seed, "actions")
 
     # --- acting --------------------------------------------------------------------------
@@ -190,7 +191,7 @@ class Fun(Agent):
         return compute_softmax(mask_values(logits[0].numpy(), mask))
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Draw from the worker's policy; asking again draws the direction anew."""
+        """Draw from the worker's policy. A repeated call draws the direction again."""
         replaced = None
         if self._action_rng.random() < self.settings.random_directions:
             drawn = self._action_rng.standard_normal(self.settings.direction_units).astype(np.float32)
@@ -199,7 +200,7 @@ class Fun(Agent):
         return sample_index(self._choose(observation, action_mask, self._asked, replaced), self._action_rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest action, under the directions of this evaluation, which belongs to `rng`."""
+        """Return the likeliest action, under the directions of this evaluation, which `rng` identifies."""
         (followed,) = self.recall(rng) or ([],)
         followed = list(followed)
         policy = self._choose(observation, action_mask, followed, None)
@@ -207,7 +208,7 @@ class Fun(Agent):
         return choose_best(policy, action_mask)
 
     def compute_state_value(self, observation: Any) -> float:
-        """V^M(s) at an observation, in units of return."""
+        """Return V^M(s) at an observation, in units of return."""
         with torch.no_grad():
             percept, *_ = self.layers.see(torch.from_numpy(self._encoder.encode(observation))[None])
             return float(self.layers.manager_value(percept)) / self.settings.reward_scale
@@ -215,7 +216,7 @@ class Fun(Agent):
     # --- learning ------------------------------------------------------------------------
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision; update when the rollout is full."""
+        """Store the decision; update when the rollout is full."""
         over = transition.terminated or transition.truncated
         memory = np.append(self._asked[-1], float(not self._followed)).astype(np.float32)
         self._rows.append(keep_decision(transition, self._encoder, self.settings, memory))
@@ -228,7 +229,7 @@ class Fun(Agent):
         return {name: part.item() for name, part in parts.items()} | {"gradient_norm": self._learner.gradient_norm}
 
     def compute_loss(self, rollout: Rollout, first: int) -> dict[str, Tensor]:
-        """The loss over the decisions from `first` on, the manager's c decisions earlier, and its parts."""
+        """Return the loss over the decisions from `first`, c decisions earlier for the manager, and its parts."""
         settings, layers, c = self.settings, self.layers, self.settings.horizon
         directions, is_fresh = rollout.memory[:, :-1], rollout.memory[:, -1] > 0
         percept, states, aimed = layers.see(rollout.observation)
@@ -257,7 +258,7 @@ class Fun(Agent):
 
     @property
     def _kept(self) -> dict[str, Tensor] | None:
-        """Fields of the decisions that are kept; None where there are none."""
+        """Fields of the stored decisions, or None without any."""
         return stack_decisions(self._rows, 0)._asdict() if self._rows else None
 
     @_kept.setter

@@ -1,8 +1,8 @@
 """Option-critic in tables: policies and terminations of options learned by gradients of one critic.
 
-Bacon, Harb and Precup (2017); deliberation cost by Harb et al. (2018); updates of several options from one decision by
-Klissarov and Precup (2021). Policy and termination are updated for the option that ran, its termination at the state
-reached; published programs differ in both.
+Bacon, Harb and Precup (2017), with the deliberation cost of Harb et al. (2018), and updates of several options from one
+decision by Klissarov and Precup (2021). Policy and termination are updated for the option that ran, its termination at
+the next state; published programs differ in both.
 """
 
 from __future__ import annotations
@@ -31,52 +31,53 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class OptionCriticSettings(AgentSettings):
-    """Options, step sizes and exploration of `option-critic`."""
+    """Settings of `option-critic`: options, step sizes and exploration."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
+    """Number of options to learn."""
     initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
+    """Initial probability of ending an option. Smaller values make the first options longer."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     critic_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
     """Step size of option values and of action values within options."""
     policy_rate: Annotated[float, Range(0)] = 0.25
-    """Step size of the options' policies; 0 leaves them as they are."""
+    """Step size of the options' policies; 0 keeps them fixed."""
     termination_rate: Annotated[float, Range(0)] = 0.25
-    """Step size of terminations; 0 leaves them as they are."""
+    """Step size of terminations; 0 keeps them fixed."""
     temperature: Annotated[float, Range(0, open_low=True)] = 0.01
-    """Temperature of the options' policies, in units of scaled return."""
+    """Temperature of the options' policies, in units of scaled return. More makes them more random."""
     epsilon: Annotated[float, Range(0, 1)] = 0.01
-    """Share of options that are chosen at random, and of the mean in the value of ending an option."""
+    """Probability of a random option, and weight of the mean in the value of ending an option. More explores more."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
-    """Price of ending an option, in scaled return: paid in the value upon arrival, and so a margin of terminations."""
+    """Cost of ending an option, in scaled return, paid in the value on arrival, which makes it a margin of
+    terminations. More makes options last longer."""
     termination_margin: Annotated[float, Range(0)] = 0.0
-    """Margin by which an option must be worse than the mean before it is ended more often, in scaled return; paid
-    nowhere."""
+    """Margin in the comparison of an option with the mean: its termination only grows if it is worse by more, in scaled
+    return. Not part of values."""
     multi_option: Annotated[float, Range(0, 1)] = 0.0
-    """Share in which each decision updates every option, weighted by how likely it was to run and to decide the same;
-    the rest goes to the option that ran. Above 0 this is MOC."""
+    """Share of each update that goes to every option, weighted by its probability to run and to choose the same; the
+    rest goes to the option that ran. Above 0 this is MOC."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.01
-    """Values are learned of rewards times this, so that returns are about 1; logged values stay in units of return."""
+    """Factor on the rewards of learned values, for returns of about 1. Logged values keep units of return."""
 
 
 class OptionTables(NamedTuple):
-    """Numbers learned of one state."""
+    """Learned numbers of one state."""
 
     values: NDArray[np.float64]  # (options,), Q(s, o)
     action_values: NDArray[np.float64]  # (options, actions), Q_U(s, o, a)
@@ -94,8 +95,8 @@ class OptionCritic(OptionAgent):
         termination  phi_o   -= rate grad beta_o(s') (Q(s', o) - V(s') + cost + margin), unless terminated
 
     Then the option ends with probability beta_o(s') and the next is chosen epsilon-greedily. With `multi_option` every
-    option o is updated, weighted by w_o = P(o | s, the option before), in its own value and policy also by
-    pi_o(a | s) / pi(a | s) of the option that ran; no step is longer than its rate.
+    option o is updated, weighted by w_o = P(o | s, previous option). The weight of its own value and policy also has
+    the factor pi_o(a | s) / pi(a | s) of the option that ran. No step is longer than its rate.
     """
 
     settings: OptionCriticSettings
@@ -110,7 +111,7 @@ class OptionCritic(OptionAgent):
         self._tables: dict[bytes, OptionTables] = {}
         self._unknown = self._make_tables()
         self._rng = make_rng(seed, "actions")
-        self._likely = np.zeros(settings.options)  # P(o | s, the option before)
+        self._likely = np.zeros(settings.options)  # P(o | s, previous option)
         self._eye = np.eye(settings.options)
 
     def _make_tables(self) -> OptionTables:
@@ -120,46 +121,46 @@ class OptionCritic(OptionAgent):
         return OptionTables(np.zeros(options), even.copy(), even, np.full(options, start))
 
     def _get(self, observation: Any) -> OptionTables:
-        """Read a state's tables; not to be written."""
+        """Read-only tables of a state."""
         return self._tables.get(self._discretise(observation), self._unknown)
 
     def _claim(self, observation: Any) -> OptionTables:
-        """Tables of a state, its own from now on."""
+        """Tables of a state, created at its first update."""
         key = self._discretise(observation)
         if key not in self._tables:
             self._tables[key] = self._make_tables()
         return self._tables[key]
 
-    # --- what the tables say ------------------------------------------------------------
+    # --- outputs ------------------------------------------------------------------------
 
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """pi_o(a | s) over legal actions, float64 (options, actions)."""
+        """Return pi_o(a | s) over legal actions, float64 (options, actions)."""
         preferences = self._get(observation).preferences / self.settings.temperature
         return compute_softmax(mask_values(preferences, action_mask))
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """Probability that each option ends at the observation, beta_o(s), float64 (options,)."""
+        """Return the probability that each option ends at the observation, beta_o(s), float64 (options,)."""
         return 1 / (1 + np.exp(-self._get(observation).endings))
 
     def compute_option_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q(s, .) of options, in units of return, float64 (options,)."""
+        """Return Q(s, .) of options, in units of return, float64 (options,)."""
         return self._get(observation).values / self.settings.reward_scale
 
     def compute_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q_U(s, o, .) of the best option o, in units of return, float64 (actions,)."""
+        """Return Q_U(s, o, .) of the best option o, in units of return, float64 (actions,)."""
         tables = self._get(observation)
         return tables.action_values[tables.values.argmax()] / self.settings.reward_scale
 
     def compute_state_value(self, observation: Any) -> float:
-        """V(s), in units of return."""
+        """Return V(s), in units of return."""
         return self._compute_mean_value(self._get(observation).values) / self.settings.reward_scale
 
     def _compute_mean_value(self, values: NDArray[np.float64]) -> float:
-        """V of the epsilon-greedy choice among options."""
+        """V of the epsilon-greedy policy over options."""
         return float((1 - self.settings.epsilon) * values.max() + self.settings.epsilon * values.mean())
 
     def _compute_choice(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Probability of each option to be chosen, (options,)."""
+        """Probability of each option under the policy over options, (options,)."""
         return compute_epsilon_greedy(values, self.settings.epsilon)
 
     def _draw(self, option: int, decisions: int, observation: Any, mask: NDArray[np.bool_],
@@ -170,14 +171,14 @@ class OptionCritic(OptionAgent):
     # --- acting -------------------------------------------------------------------------
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Draw from the running option's policy; a first option is chosen in a new episode."""
+        """Draw from the running option's policy; a new episode chooses its first option."""
         if self._option < 0:
             self._likely = self._compute_choice(self._get(observation).values)
             self._option, self._decisions = sample_index(self._likely, self._rng), 0
         return self._draw(self._option, self._decisions, observation, action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Draw from an option's policy: the best option, until it ends in the evaluation that belongs to `rng`."""
+        """Draw from the policy of the best option until it ends, in the evaluation that `rng` identifies."""
         option, decisions = int(self._get(observation).values.argmax()), 0
         if (known := self.recall(rng)) is not None:
             running, made = known
@@ -189,7 +190,7 @@ class OptionCritic(OptionAgent):
     # --- learning -----------------------------------------------------------------------
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """One update of critic, policy and termination; then the option may end."""
+        """Make one update of critic, policy and termination; the option may then end."""
         error = self._learn(transition)
         self._decisions += 1
         ended = self._go_on(transition)
@@ -212,7 +213,7 @@ class OptionCritic(OptionAgent):
         here.values[:] += settings.critic_rate * same * (target - here.values)
 
         advantage = here.action_values[:, action] - here.values
-        gradient = -policies  # of log pi_o(a | s) by theta_o, times the temperature
+        gradient = -policies  # gradient of log pi_o(a | s) by theta_o, times the temperature
         gradient[:, action] += 1
         here.preferences[:] += settings.policy_rate * (same * advantage)[:, None] * gradient
         if not transition.terminated:
@@ -222,7 +223,7 @@ class OptionCritic(OptionAgent):
         return abs(error)
 
     def _go_on(self, transition: SMDPTransition) -> bool:
-        """Draw whether the option ends, and the next; returns whether it ended."""
+        """Draw whether the option ends, and the next option; return whether it ended."""
         if transition.terminated or transition.truncated:
             self.log.add(self._option, self._decisions)
             self._option, self._decisions = -1, 0
@@ -237,7 +238,7 @@ class OptionCritic(OptionAgent):
         return True
 
     def state_dict(self) -> StateTree:
-        """Tables in order of first meeting, beside what `STATE` names."""
+        """Return tables in order of first meeting, in addition to the attributes in `STATE`."""
         columns = zip(*self._tables.values(), strict=True) if self._tables else ([] for _ in OptionTables._fields)
         tables = {name: np.array(column) for name, column in zip(OptionTables._fields, columns, strict=True)}
         return {"keys": pack_keys(self._tables), **tables, **super().state_dict()}

@@ -1,10 +1,11 @@
 """Proximal policy option-critic: PPO within options, policy gradient among them, and the termination gradient.
 
-Klissarov, Bacon, Harb and Precup (2017). The constants of its published program (mklissa/PPOC) are settings here, but
-for the 5e-7 that it gives as the step size of terminations. Its two steps a minibatch, of 5e-7 for terminations and of
-3e-4 for all else, share the moments of one Adam, and so the second moves terminations too: by 2e-4 in all. Two
-optimisers here make two steps, of 2e-4 and of `learning_rate`. Unlike in that program, terminations are learned at the
-state reached, for the option that ran, and the policy over options where an option was chosen.
+Klissarov, Bacon, Harb and Precup (2017). The constants of the published program (mklissa/PPOC) are settings here,
+except for the step size of terminations, 5e-7. The program makes two steps per minibatch, of 5e-7 for terminations and
+of 3e-4 for everything else. These share the moments of one Adam, and the second step therefore also moves terminations,
+by 2e-4 in total. Here two optimisers make two steps, of 2e-4 and of `learning_rate`. Unlike in that program,
+terminations are learned at the next state for the option that ran, and the policy over options where an option was
+chosen.
 """
 
 from __future__ import annotations
@@ -29,68 +30,71 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class PPOCSettings(AgentSettings):
-    """Options, their terminations and the clipped updates of `ppoc`."""
+    """Settings of `ppoc`: options, their terminations and the clipped updates."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     options: Annotated[int, Range(1)] = 2
-    """Options that are learned."""
+    """Number of options to learn."""
     initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
+    """Initial probability of ending an option. Smaller values make the first options longer."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
+    """Weight of the policy's entropy in the loss. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    """Lambda of generalised advantage estimation. 1 has the most variance, and no bias from the critic."""
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
+    """Decisions collected before each round of updates, of all environments together. More make steadier updates, and
+    fewer of them."""
     stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
+    """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
+    many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
+    """Passes over a rollout. More learn more from it and move further from the policy that collected it."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in a minibatch of a rollout of `rollout` decisions."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Bound on how far the probability ratio may move to any advantage."""
+    """Bound on how far the probability ratio may move to any advantage. Smaller is slower and steadier."""
     normalise_advantages: bool = True
-    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
-    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
+    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Before the first success that blows
+    noise up to full-sized steps."""
     least_samples: Annotated[int, Range(2)] = 160
-    """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
+    """Smallest number of decisions of an option before it is updated, collected over several rollouts if necessary."""
     termination_rate: Annotated[float, Range(0)] = 2e-4
-    """Step size of Adam for terminations, one step a minibatch. It is what the published program's 5e-7 and 3e-4 come
-    to together; 0 leaves terminations as they begin."""
+    """Step size of Adam for terminations, one step per minibatch. The default is the total effect of the published
+    program's 5e-7 and 3e-4. 0 keeps terminations fixed."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.1
-    """Weight of the entropy of the policy over options in the loss."""
+    """Weight of the entropy of the policy over options in the loss. More keeps more options in use."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
-    """Price of ending an option, in scaled return: paid upon arrival, and so a margin of terminations."""
+    """Cost of ending an option, in scaled return, paid on arrival, which makes it a margin of terminations. More makes
+    options last longer."""
 
 
 class OptionSamples(NamedTuple):
@@ -99,22 +103,22 @@ class OptionSamples(NamedTuple):
     observation: Tensor  # encoded
     mask: Tensor  # bool (n, actions)
     action: Tensor  # int64
-    log_probability: Tensor  # of the action, under the policy that chose it
+    log_probability: Tensor  # of the action, under the behaviour policy
     advantage: Tensor  # of the action within the option
     target: Tensor  # of Q(s, o)
-    choice_advantage: Tensor  # target - V(s) where the option was chosen at this decision, else 0
-    is_chosen: Tensor  # bool, it was chosen at this decision
-    reached: Tensor  # encoded observation of the state reached
-    goes_on: Tensor  # bool, the task did not end there
+    choice_advantage: Tensor  # target - V(s) if the option was chosen at this decision, otherwise 0
+    is_chosen: Tensor  # bool, whether the option was chosen at this decision
+    reached: Tensor  # encoded next observation
+    goes_on: Tensor  # bool, whether the task continues
 
 
 class PPOC(StreamOptionAgent):
     """Learn pi_o, Q(s, o), pi_Omega and beta_o from decisions (s, o, a) -> R, s'.
 
-        arrival      U = Q(s', o) if o goes on, Q(s', o') - cost if it ended and o' was chosen; where neither is known
-                     the mean of both
+        arrival      U = Q(s', o) if o continues, Q(s', o') - cost if it ended and o' was chosen; the mean of both if
+                     neither is known
         policy       PPO on log pi_o(a | s) with the advantages of Q and U; Q(s, o) towards advantage + Q(s, o)
-        choice       grad log pi_Omega(o | s) (target - V(s)) where o was chosen, V(s) = sum pi_Omega(o | s) Q(s, o)
+        choice       grad log pi_Omega(o | s) (target - V(s)) if o was chosen, V(s) = sum pi_Omega(o | s) Q(s, o)
         termination  - grad beta_o(s') (Q(s', o) - V(s') + cost), unless terminated, with a step size of its own
 
     Each option is updated from its own decisions, once there are `least_samples`.
@@ -160,7 +164,7 @@ class PPOC(StreamOptionAgent):
                           "value": (samples.target - samples.advantage).mean().item() / settings.reward_scale}
 
     def compute_samples(self, rollout: Rollout, choices: OptionChoices) -> OptionSamples:
-        """Lessons of every decision of a rollout for its option, while the networks are still those that chose."""
+        """Return the samples of every decision for its option, computed before the networks change."""
         option, critic = choices.option, self.heads.critic(rollout.observation)
         values = take_column(critic, option)
         advantage = self.heads.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
@@ -172,7 +176,7 @@ class PPOC(StreamOptionAgent):
                              rollout.bootstrap > 0)
 
     def step_termination(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
-        """One step of an option's terminations over some of its decisions; none with one option or without a rate."""
+        """Make one step of an option's terminations over some decisions; none with one option or without a rate."""
         if self.options == 1 or not self.settings.termination_rate:
             return {}
         loss = self.heads.compute_termination_loss(batch.reached, batch.goes_on, torch.full_like(batch.action, option),
@@ -181,7 +185,7 @@ class PPOC(StreamOptionAgent):
         return {"termination_loss": loss.detach()}
 
     def compute_loss(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
-        """Loss of an option over some of its decisions, and its parts."""
+        """Return the loss of an option over some of its decisions, and its parts."""
         own = torch.full_like(batch.action, option)
         parts = self.heads.compute_option_loss(batch.observation, batch.mask, own, batch.action, batch.log_probability,
                                          batch.advantage, batch.target)
@@ -193,14 +197,14 @@ class PPOC(StreamOptionAgent):
         return {"loss": loss, **parts, "choice_loss": choice_loss, "choice_entropy": choice_entropy}
 
     def move(self, device: torch.device) -> None:
-        """Move networks, optimisers and what waits for updates to a device."""
+        """Move networks, optimisers and waiting samples to a device."""
         self._ending_learner.move(device)
         super().move(device)
         self._waiting = {option: OptionSamples(*(field.to(device) for field in samples))
                          for option, samples in self._waiting.items()}
 
     def after_load(self) -> None:
-        """Move samples that wait for updates to the networks' device."""
+        """Move waiting samples to the networks' device."""
         device = self.heads.policy.weights.device
         self._waiting = {option: OptionSamples(*(field.to(device) for field in samples))
                          for option, samples in self._waiting.items()}

@@ -1,7 +1,8 @@
-"""Covering options: edges that bring the two ends of the slowest walk together, one after another.
+"""Covering options: edges that connect the two ends of the slowest random walk, one after another.
 
 Jinnai, Park, Abel and Konidaris (2019). Each option leads from one end of the slowest direction of the state graph to
-the other; with it as an edge the graph is better connected, and the next is found. Q-learning explores with them.
+the other. With it as an edge the graph is better connected, and the next one is computed. Q-learning explores with
+them.
 """
 
 from __future__ import annotations
@@ -26,59 +27,60 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class CoveringOptionsSettings(AgentSettings):
-    """Edges that `covering-options` adds, and the share of exploration that runs their options."""
+    """Settings of `covering-options`: number of edges, and share of exploration with their options."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     use: Literal["explore", "choose"] = "explore"
-    """`explore`: options are run in exploration alone, and the policy is over primitives. `choose`: they are choices
-    beside the primitives, valued by intra-option Q-learning."""
+    """`explore`: options run in exploration only, and the policy is over primitives. `choose`: the policy chooses among
+    primitives and options, valued by intra-option Q-learning."""
     option_share: Annotated[float, Range(0, 1)] = 1.0
-    """Share of exploratory choices that begin an option where one may begin, which is in a few states only."""
+    """Share of exploratory choices that begin an option, if one can begin, which few states allow."""
     discover_every: Annotated[int, Range(1)] = 1_000
-    """Decisions after which all options are found anew."""
+    """Decisions between updates of all options. Fewer follow the data more closely and take longer."""
     most_states: Annotated[int, Range(2)] = 1_000
-    """States beyond which none are found anew: eigenvectors take time in their cube."""
+    """Number of states above which options are no longer updated, because eigenvectors take cubic time."""
     edges: Annotated[int, Range(1)] = 4
-    """Edges that are added, two options each: there and back."""
+    """Number of added edges, with two options each: there and back."""
 
 
 class CoveringDiscovery(GraphDiscovery):
-    """Finds edges in the graph of all states that are connected."""
+    """Computes edges in the graph of all connected states."""
 
     def __init__(self, settings: CoveringOptionsSettings) -> None:
         super().__init__(settings, 2 * settings.edges)
@@ -86,7 +88,7 @@ class CoveringDiscovery(GraphDiscovery):
 
     def find(self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
              ) -> dict[int, TableSkill]:
-        """Both options of each edge, in order; the slowest direction is computed anew after each."""
+        """Return both options of each edge, in order; each edge changes the slowest direction for the next."""
         joined = adjacency.copy()
         found = {}
         for edge in range(self._edges):
@@ -99,10 +101,11 @@ class CoveringDiscovery(GraphDiscovery):
 
 
 class CoveringOptions(DiscoveringAgent):
-    """Q-learning that explores with options between the two ends of the slowest walk.
+    """Q-learning that explores with options between the two ends of the slowest random walk.
 
-    An option begins in the state of the least value of the slowest eigenvector and ends in that of the greatest, by the
-    fewest primitives; its twin goes back. Each pair raises the algebraic connectivity, which bounds the cover time.
+    An option begins in the state with the smallest value of the slowest eigenvector and ends in the state with the
+    largest, by the fewest primitives; a second option leads back. Each pair raises the algebraic connectivity, which
+    bounds the cover time.
     """
 
     settings: CoveringOptionsSettings

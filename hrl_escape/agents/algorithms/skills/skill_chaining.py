@@ -1,7 +1,7 @@
-"""Skill chaining: options found backwards from the goal, each leading to where the next may begin.
+"""Skill chaining: options built backwards from the goal, each leading to the states where the next can begin.
 
-Konidaris and Barto (2009), in tables: the initiation set of an option is learned. States from which its target was
-reached within some decisions, and a way there is known, are let in; those from which runs do not arrive leave again.
+Konidaris and Barto (2009), in tables. The initiation set of an option is learned: it includes states from which its
+target was reached within some decisions, if a way there is known. States whose runs fail are removed again.
 """
 
 from __future__ import annotations
@@ -30,64 +30,66 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class SkillChainingSettings(AgentSettings):
-    """Length of the chain of `skill-chaining`, and what its initiation sets are learned from."""
+    """Settings of `skill-chaining`: length of the chain, and data of its initiation sets."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     use: Literal["explore", "choose"] = "choose"
-    """`explore`: options are run in exploration alone, and the policy is over primitives. `choose`: they are choices
-    beside the primitives, valued by intra-option Q-learning."""
+    """`explore`: options run in exploration only, and the policy is over primitives. `choose`: the policy chooses among
+    primitives and options, valued by intra-option Q-learning."""
     option_share: Annotated[float, Range(0, 1)] = 0.2
-    """Share of exploratory choices that begin an option where one may begin; the rest are primitives."""
+    """Share of exploratory choices that begin an option, if one can begin; the others are primitives."""
     skills: Annotated[int, Range(1)] = 8
     """Most options of the chain."""
     gestation: Annotated[int, Range(1)] = 5
-    """Arrivals in a target before an option to it is made."""
+    """Arrivals in a target before its option is made. More make better options, later."""
     reach: Annotated[int, Range(1)] = 10
-    """Decisions before an arrival whose states may belong to the initiation set."""
+    """Number of decisions before an arrival whose states are candidates for the initiation set. More make it larger."""
     start_rate: Annotated[float, Range(0, 1)] = 0.5
-    """An option may begin where at least this share of what went on from there arrived, (arrivals + 1) / (runs + 2)."""
+    """Smallest estimated success rate of states in the initiation set, (arrivals + 1) / (runs + 2). More make options
+    more reliable and their initiation sets smaller."""
 
 
 class SkillChain(Discovery):
-    """A chain of options, made from its end.
+    """A chain of options, built from its end.
 
     Attributes:
-        targets: state by number -> the level whose target it belongs to; level 0 is the end of the task.
+        targets: state number -> level of the target that it belongs to; level 0 is the end of the task.
     """
 
     STATE = (
@@ -109,11 +111,11 @@ class SkillChain(Discovery):
         self._sets: list[list[int]] = [[]]
         """By level, the states from which its target was reached; the last level has no option yet."""
         self._made: list[TableSkill] = []
-        """By level, its option."""
+        """Option of each level."""
         self._runs: list[list[int]] = []
-        """By level, the states of a run of its option: its own, or of others that do the same."""
+        """By level, the states of a run of its option, or of other options with the same actions."""
         self._outcomes: dict[tuple[int, int], tuple[int, int]] = {}
-        """(level, state) -> arrivals in the level's target from there, and how often one was tried."""
+        """(level, state) -> arrivals in the level's target, and number of attempts."""
         self._relearned: set[int] = set()
         """Levels whose initiation set may have changed."""
         self._arrivals = 0
@@ -121,7 +123,7 @@ class SkillChain(Discovery):
         self._has_begun, self._begins_inside = False, False
 
     def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
-        """Follow the episode; at an arrival in the present target, keep the states before it."""
+        """Follow the episode; at an arrival in the current target, store the states before it."""
         level = len(self._sets) - 1
         self._judge_runs(transition, before, after)
         if not self._has_begun:
@@ -142,10 +144,10 @@ class SkillChain(Discovery):
             self._has_begun = False
 
     def _judge_runs(self, transition: SMDPTransition, before: int, after: int) -> None:
-        """Follow runs of options; one that arrived, or ended elsewhere, tells of all states that it went through."""
+        """Follow runs of options. A run that arrives or ends elsewhere is a sample for all states that it visited."""
         for level, (option, run) in enumerate(zip(self._made, self._runs, strict=True)):
             if transition.cut or before >= len(option.actions) or option.actions[before] != transition.action:
-                run.clear()  # somebody else acted
+                run.clear()  # another option has acted
                 continue
             run.append(before)
             arrived = self.targets.get(after, 0 if transition.terminated else NOTHING) == level
@@ -161,7 +163,7 @@ class SkillChain(Discovery):
         self._relearned.add(level)
 
     def _learn_starts(self, level: int) -> Mapping[int, TableSkill]:
-        """The option of a level with its present initiation set, if that has changed."""
+        """Option of a level with its current initiation set, if that has changed."""
         option = self._made[level]
         counts = np.array([self._outcomes.get((level, state), (0, 0)) for state in range(len(option.actions))])
         rates = (counts[:, 0] + 1) / (counts[:, 1] + 2)
@@ -172,9 +174,9 @@ class SkillChain(Discovery):
         return {level: self._made[level]}
 
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
-        """Options whose initiation set has changed, and the next one.
+        """Return options whose initiation set has changed, and the next one.
 
-        That is made once its target was reached often enough and episodes still begin outside the chain.
+        The next one is made once its target was reached often enough and episodes still begin outside the chain.
         """
         level = len(self._sets) - 1
         changed = {number: option for each in sorted(self._relearned) if each < len(self._made)
@@ -196,7 +198,7 @@ class SkillChain(Discovery):
         return changed | {level: option}
 
     def after_load(self) -> None:
-        """Bound what is remembered; runs that were going on when the checkpoint was made are not judged."""
+        """Bound the stored runs; runs that were active at the checkpoint are not counted."""
         self._recent = deque(self._recent, maxlen=self._settings.reach)
         self._runs = [[] for _ in self._made]
 
@@ -205,9 +207,9 @@ class SkillChaining(DiscoveringAgent):
     """Q-learning over primitives and a chain of options to the end of the task.
 
     The target T_0 is the end of the task. After `gestation` arrivals in T_i, option i leads there from its initiation
-    set: of the states at most `reach` decisions before an arrival, those with a known way to T_i that stays among them.
-    T_(i+1) is that set. From then on the set is learned from what runs of the option came to: it may begin where
-    (arrivals + 1) / (runs + 2) is `start_rate` at least. The chain is complete when episodes begin inside it.
+    set: the states at most `reach` decisions before an arrival with a known way to T_i inside the set. T_(i+1) is that
+    set. Afterwards runs of the option refine it: it can begin where (arrivals + 1) / (runs + 2) is at least
+    `start_rate`. The chain is complete when episodes begin inside it.
     """
 
     settings: SkillChainingSettings

@@ -1,1 +1,1 @@
-"""Learners of causal structure: of what depends on what, and of tasks made of it."""
+"""Algorithms that learn causal structure: dependencies between factors, and tasks made of them."""

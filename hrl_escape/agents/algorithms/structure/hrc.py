@@ -1,10 +1,11 @@
-"""HRC without its estimate of effects: causal interventions on subgoals, any or told ancestors of the goal.
+"""HRC without its estimate of effects: causal interventions on subgoals, on any or on given ancestors of the goal.
 
 Khorasani et al. (2025), Hierarchical reinforcement learning with targeted causal interventions. Subgoals are the bits
-of the observation; one can be reached once its parents have been intervened on. The agent drives those on that it has
-chosen, tries every action that has had no effect yet, and learns which bits an action needs. The paper prefers
-interventions of large estimated effect on the goal. Where the goal needs all of its parents on, nothing is ever seen of
-it before they are, so that no estimate tells its ancestors from other subgoals: the agent goes for any, or is told.
+of the observation. A bit is reachable once its parents have been intervened on. The agent turns its chosen bits on,
+tries every action without a known effect, and learns which bits an action needs. The paper prefers interventions with a
+large estimated effect on the goal. If the goal needs all of its parents, it is never observed before they are on, and
+no estimate can distinguish its ancestors from other subgoals. The agent therefore chooses any subgoal, or is given the
+ancestors.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 
 InterventionRule = Literal["uniform", "targeted", "ancestors"]
-"""`uniform`: any reachable subgoal; `targeted`: with n interventions made, an ancestor of the goal with probability
-n / (n + 1), else another one; `ancestors`: an ancestor, as long as there is one."""
+"""`uniform`: any reachable subgoal. `targeted`: after n interventions, an ancestor of the goal with probability
+n / (n + 1), otherwise another one. `ancestors`: an ancestor while there is one."""
 
 
 def compute_intervention_probabilities(candidates: Sequence[int], ancestors: Collection[int], made: int,
                                        rule: InterventionRule) -> list[float]:
-    """Probability of each candidate, one at least, to be the next, after `made` interventions."""
+    """Return the probability of each candidate (at least one) to be the next, after `made` interventions."""
     wanted = [candidate in ancestors for candidate in candidates]
     count, others = sum(wanted), len(candidates) - sum(wanted)
     if rule == "uniform" or not count or not others:
@@ -42,41 +43,41 @@ def compute_intervention_probabilities(candidates: Sequence[int], ancestors: Col
 
 
 TASK_END = -1
-"""In place of a bit: the end of the task."""
+"""Number for the end of the task, in place of a bit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HrcSettings(AgentSettings):
-    """Tries of an action, most bits that it needs, and the choice of interventions in `hrc`."""
+    """Settings of `hrc`: tries of an action, most parents of a bit, and choice of interventions."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     tries: Annotated[int, Range(1)] = 1
-    """Tries of an action after each intervention; more where actions may fail."""
+    """Tries of an action after each intervention. Actions that can fail need more."""
     max_parents: Annotated[int, Range(0, 8)] = 2
-    """Most bits that an action needs."""
+    """Most bits that an action needs. The number of candidate sets grows exponentially with it."""
     rule: InterventionRule = "uniform"
-    """Choice of the next intervention; all but `uniform` need `ancestors`."""
+    """Rule for the next intervention; all except `uniform` need `ancestors`."""
     ancestors: tuple[Annotated[int, Range(0)], ...] = ()
-    """Components of the observation that the agent is told to be ancestors of the goal. Privileged."""
+    """Components of the observation that are ancestors of the goal. Privileged information."""
 
     def check(self) -> None:
-        """Refuse a rule that would choose like `uniform` for want of ancestors."""
+        """Check that rules other than `uniform` have ancestors."""
         if self.rule != "uniform" and not self.ancestors:
-            raise AgentSettingsError("HrcSettings.rule", self.rule, "uniform, or with ancestors=(...) that it is told")
+            raise AgentSettingsError("HrcSettings.rule", self.rule, "uniform, or with the privileged ancestors=(...)")
 
 
 class Hrc(Agent):
-    """Intervene on subgoals that can be reached, until the end of the task can.
+    """Intervenes on reachable subgoals until the end of the task is reachable.
 
-    A bit that an action has turned on can be reached: by that action, where its parents are on. The parents are the
-    smallest set of bits, on in every success, that was on in the fewest failures; of several, the one of which most are
-    on is put to the test. After each intervention every action without an effect is tried with all chosen bits on. Once
-    the end can be reached, the agent goes there.
+    A bit that an action has turned on is reachable: by that action, if its parents are on. The parents are the smallest
+    set of bits, on in every success, that was on in the fewest failures. Among several sets, the one with most bits on
+    is tested. After each intervention every action without a known effect is tried with all chosen bits on. Once the
+    end is reachable, the agent goes there.
 
     Attributes:
         interventions: components of the chosen bits, in order.
-        cost: sum over bits found after the first intervention of 1 and the interventions by then.
+        cost: sum of 1 + the number of interventions so far, over bits found after the first intervention.
     """
 
     settings: HrcSettings
@@ -102,33 +103,33 @@ class Hrc(Agent):
             raise UnsupportedSpaceError(f"hrc intervenes on bits, and {observation_space} has factors of more values")
         self._rng = make_rng(seed, "actions")
         self._samples: list[tuple[int, int, int, bool]] = []
-        """Of each decision: bits before, action, bits after, over; bit n of a number is component n."""
+        """For each decision: bits before, action, bits after, over; bit n of a number is component n."""
         self._find_anew()
 
     def _find_anew(self) -> None:
-        """Forget all but the samples."""
+        """Discard everything except the samples."""
         self.interventions: list[int] = []
         self.cost = 0
         self._effects: dict[int, int] = {}
-        """Bit, or `TASK_END` -> the action that first brought it about."""
+        """Bit, or `TASK_END` -> the action that first turned it on."""
         self._parents: dict[int, list[tuple[int, ...]]] = {}
-        """Bit, or `TASK_END` -> the sets that may be its parents."""
+        """Bit, or `TASK_END` -> its possible sets of parents."""
         self._tried: dict[tuple[int, int], int] = {}
-        """(action, interventions made) -> tries."""
+        """(action, number of interventions) -> number of tries."""
 
     def _read(self, observation: Any) -> int:
         flat = self._reader.flatten(observation)
-        if self._reader.notice(flat):  # some numbers are no bits
+        if self._reader.notice(flat):  # some numbers are not bits
             left = {TASK_END, *self._reader.components.tolist()}
             self._effects = {bit: action for bit, action in self._effects.items() if bit in left}
             self.interventions = [bit for bit in self.interventions if bit in left]
             self._parents = {bit: self._find_parents(bit) for bit in self._effects}
         return self._read_frozen(observation)
 
-    # --- what is known ----------------------------------------------------------------
+    # --- knowledge --------------------------------------------------------------------
 
     def _find_parents(self, bit: int) -> list[tuple[int, ...]]:
-        """The smallest sets that were on in all successes and in the fewest failures of the bit's action."""
+        """Smallest sets that were on in all successes and in the fewest failures of the bit's action."""
         action, known = self._effects[bit], sum(1 << int(component) for component in self._reader.components)
         off = [row for row in self._samples if row[1] == action and (bit == TASK_END or not row[0] >> bit & 1)]
         worked = [row[0] for row in off if (row[3] if bit == TASK_END else row[2] >> bit & 1)]
@@ -150,11 +151,11 @@ class Hrc(Agent):
         return best
 
     def get_graph(self) -> frozenset[tuple[int, int]]:
-        """Edges (parent, child) between the components of bits that can be reached."""
+        """Return edges (parent, child) between the components of reachable bits."""
         return frozenset((parent, bit) for bit, sets in self._parents.items() if bit != TASK_END for parent in sets[0])
 
     def _step_towards(self, bit: int, bits: int, depth: int = 0) -> int:
-        """The next action on the way to a bit, or to the end, if its parents are those of which most are on."""
+        """Next action on the way to a bit, or to the end, for the set of parents with most bits on."""
         for parent in min(self._parents[bit], key=lambda needs: sum(not bits >> parent & 1 for parent in needs)):
             if not bits >> parent & 1 and parent in self._effects and depth < len(self._effects):
                 return self._step_towards(parent, bits, depth + 1)
@@ -163,7 +164,7 @@ class Hrc(Agent):
     # --- acting -----------------------------------------------------------------------
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Go to the end; else drive on what was chosen, try what had no effect, choose the next intervention."""
+        """Go to the end; otherwise turn chosen bits on, try actions without effect, choose the next intervention."""
         action = self._choose(self._read(observation), action_mask)
         return action if action_mask[action] else sample_legal(action_mask, self._rng)
 
@@ -179,20 +180,20 @@ class Hrc(Agent):
                 return sample_legal(left & mask if (left & mask).any() else mask, self._rng)
             candidates = [bit for bit in self._effects if bit not in self.interventions]
             if not candidates:
-                self._tried.clear()  # nothing more was found: some action must have failed by chance
+                self._tried.clear()  # no further bit was found: some action must have failed by chance
                 return sample_legal(mask, self._rng)
             shares = compute_intervention_probabilities(candidates, self.settings.ancestors, len(self.interventions),
                                                         self.settings.rule)
             self.interventions.append(candidates[sample_index(np.array(shares), self._rng)])
 
     def _list_untried(self) -> NDArray[np.bool_]:
-        """Actions without an effect so far that are to be tried with the present interventions."""
+        """Actions without an effect so far that have to be tried with the current interventions."""
         made, working = len(self.interventions), set(self._effects.values())
         return np.array([action not in working and self._tried.get((action, made), 0) < self.settings.tries
                          for action in range(self._actions)])
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The next action on the way to the end; any, where none is known."""
+        """Return the next action on the way to the end, or a random one if none is known."""
         bits = self._read_frozen(observation)
         action = self._step_towards(TASK_END, bits) if TASK_END in self._effects else None
         return sample_legal(action_mask, rng) if action is None or not action_mask[action] else action
@@ -204,8 +205,8 @@ class Hrc(Agent):
     # --- learning ---------------------------------------------------------------------
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Take a sample; a bit turned on for the first time can be reached from now on."""
-        if not transition.cut:  # a cut inside shows no effect
+        """Add a sample. A bit turned on for the first time becomes reachable."""
+        if not transition.cut:  # a decision that was cut inside has no outcome
             before, after = self._read(transition.observation), self._read(transition.next_observation)
             self._learn((before, transition.action, after, transition.terminated))
         return {"interventions": len(self.interventions), "intervention_cost": self.cost,
@@ -236,5 +237,5 @@ class Hrc(Agent):
         self._reader.keep(components)
 
     def after_load(self) -> None:
-        """Find the parents anew."""
+        """Compute the parents again."""
         self._parents = {bit: self._find_parents(bit) for bit in self._effects}

@@ -1,9 +1,9 @@
-"""Met-R-MAX: factored R-MAX whose sets of parents are judged by a statistical test, so that actions may fail.
+"""Met-R-MAX: factored R-MAX that judges sets of parents by a statistical test, for actions that can fail.
 
-Diuk, Li and Leffler (2009), The adaptive k-meteorologists problem. Exploration and plans are those of `factored-r-max`.
-A set of parents forecasts the chance of an outcome by its counts, once a context has enough of them. Where two
-forecasts differ, the sample tells for one of the two; squared errors are summed until the difference is larger than
-chance makes it, and the worse is dropped, not at its first miss.
+Diuk, Li and Leffler (2009), The adaptive k-meteorologists problem. Exploration and plans are as in `factored-r-max`. A
+set of parents predicts the probability of an outcome by its counts, once a context has enough samples. If two
+predictions differ, a sample supports one of them. Squared errors are summed until the difference exceeds what chance
+explains, and the worse set is then dropped, instead of at its first error.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from hrl_escape.settings import Range
 class Meteorologists(StructureLearner):
     """Hypotheses that no other one has beaten.
 
-    Of hypotheses i, j that forecast p_i, p_j for a sample y (one-hot), half the squared errors differ by
+    For hypotheses i and j that predict p_i and p_j for a sample y (one-hot), half the squared errors differ by
 
         d = (|p_i - y|^2 - |p_j - y|^2) / 2,   of range 2 c with c = max over values of |p_i - p_j|
 
-    If i were right, sum d > sqrt(2 sum c^2 log(1/delta)) would have probability delta at most (Hoeffding 1963, for the
-    ranges that came); i is dropped then. The first of those left, which predicts, has the shortest code: the sum of
-    -log of its forecasts (Krichevsky and Trofimov 1981), so that a larger set must earn its contexts. An outcome counts
-    as what an action does in a context where it has at least
-    `least_share` of the samples: an action that fails half of the time still does it.
+    If i were right, sum d > sqrt(2 sum c^2 log(1/delta)) would have probability at most delta (Hoeffding 1963, for the
+    observed ranges); i is then dropped. Among the others, the one with the shortest code predicts: the smallest sum of
+    -log of its predictions (Krichevsky and Trofimov 1981), which makes a larger set justify its contexts. An outcome
+    counts as an action's effect in a context where it has at least `least_share` of the samples: an action that fails
+    half of the time still has its effect.
 
     Args:
-        visits: samples of a context before its forecasts count.
+        visits: samples of a context before its predictions count.
         delta: error probability of one comparison.
         least_share: see above.
     """
@@ -44,18 +44,18 @@ class Meteorologists(StructureLearner):
         super().__init__(sizes, actions, max_parents, all_on)
         self._visits, self._log, self._share = visits, float(np.log(1 / delta)), least_share
         self._samples: dict[int, list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]] = {}
-        """By action, of each sample: the context of every hypothesis, own values and results of the outcomes."""
+        """By action, for each sample: the context of every hypothesis, own values and results of the outcomes."""
         self._tests: dict[tuple[int, int], _Tests] = {}
 
     def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
-        """Take in one transition, and hold every forecast of what this action changes against it."""
+        """Add one transition, and compare it with every prediction of what this action changes."""
         super().add(before, action, after, over, bonus)
         contexts, own, result = self.read_sample(before, after, over, bonus)
         samples = self._samples.setdefault(action, [])
         samples.append((contexts, own, result))
         for outcome in self.list_active(action).tolist():
             key = action, outcome
-            if key not in self._tests:  # the first time that it does something: all samples count
+            if key not in self._tests:  # the first effect: all earlier samples count
                 is_binary = outcome == self.over or (outcome < self.over and self.sizes[outcome] == 2)
                 values = 2 if is_binary else self._shape[-1]
                 self._tests[key] = _Tests(len(self.hypotheses), self._shape, self._visits, values)
@@ -64,22 +64,22 @@ class Meteorologists(StructureLearner):
             self._tests[key].add(contexts, int(own[outcome]), int(result[outcome]))
 
     def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """Hypotheses that no other has beaten, those of the shortest code first."""
+        """Return the hypotheses that no other has beaten, shortest codes first."""
         tests = self._tests.get((action, outcome))
         if tests is None:
             return np.arange(len(self.hypotheses))
         return tests.find_alive(self._log)
 
     def get_samples(self, action: int, hypotheses: NDArray[np.int64], outcome: int) -> NDArray[np.int32]:
-        """Samples in which a change outweighs staying, so that the largest number is what the action does."""
+        """Return samples with more weight on changes, which makes the largest number the action's effect."""
         return self._weigh(super().get_samples(action, hypotheses, outcome), outcome)
 
     def get_counts(self, action: int, hypothesis: int, outcome: int) -> NDArray[np.int32]:
-        """The same for one hypothesis."""
+        """Return the same for one hypothesis."""
         return self._weigh(super().get_counts(action, hypothesis, outcome), outcome)
 
     def _weigh(self, counts: NDArray[np.int32], outcome: int) -> NDArray[np.int32]:
-        """Weigh what an action changes so that it is the largest number from `least_share` of the samples on."""
+        """Weigh changes to make them the largest number from a fraction of `least_share` of the samples."""
         if outcome < self.over and self.sizes[outcome] != 2:
             return counts
         stays = np.zeros((2, counts.shape[-1]), np.bool_)
@@ -91,7 +91,7 @@ class Meteorologists(StructureLearner):
 
 
 class _Tests:
-    """Comparisons of all hypotheses about one outcome of one action, pair by pair."""
+    """Pairwise comparisons of all hypotheses about one outcome of one action."""
 
     def __init__(self, hypotheses: int, shape: tuple[int, ...], visits: int, values: int) -> None:
         self._visits, self._values = visits, values
@@ -99,12 +99,12 @@ class _Tests:
         self._counts = np.zeros((hypotheses, shape[1], 2, shape[-1]))
         self._rows = np.arange(hypotheses)
         self._worse = np.zeros((hypotheses, hypotheses))
-        """Sum of d: by how much i has erred more than j."""
+        """Sum of d: the difference between the errors of i and of j."""
         self._ranges = np.zeros((hypotheses, hypotheses))
-        """Sum of c^2, where c is the largest difference of the two forecasts."""
+        """Sum of c^2, where c is the largest difference of the two predictions."""
 
     def add(self, contexts: NDArray[np.int64], own: int, result: int) -> None:
-        """Take in one sample; hypotheses whose context is known forecast it first."""
+        """Add one sample, after the predictions of hypotheses with a known context."""
         cells = self._counts[self._rows, contexts, own]
         totals = cells.sum(axis=1)
         self._code -= np.log((cells[:, result] + 0.5) / (totals + 0.5 * self._values))
@@ -119,7 +119,7 @@ class _Tests:
         self._counts[self._rows, contexts, own, result] += 1
 
     def find_alive(self, log: float) -> NDArray[np.int64]:
-        """Hypotheses that none has beaten; should all be beaten, those beaten by the least."""
+        """Return the hypotheses that none has beaten; if all are beaten, the least beaten ones."""
         beaten = (self._worse - np.sqrt(2 * log * self._ranges)).max(axis=1)
         alive = np.flatnonzero(beaten <= max(float(beaten.min()), 0.0))
         return alive[np.argsort(np.round(self._code[alive], 6), kind="stable")]
@@ -127,32 +127,34 @@ class _Tests:
 
 @dataclass(frozen=True, kw_only=True)
 class MetRMaxSettings(AgentSettings):
-    """Samples and error probability of the tests of `met-r-max`, beside hypotheses and search."""
+    """Settings of `met-r-max`: samples and error probability of its tests, hypotheses and search."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     max_parents: Annotated[int, Range(0, 8)] = 2
-    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    """Most factors that decide an outcome, apart from a bit's own value. The number of hypotheses is the number of
+    factors to this power."""
     conditions: Literal["all-on", "any"] = "all-on"
-    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
-    (wherever every factor is a bit). `any`: each combination of their values."""
+    """Contexts that a set of parents distinguishes. `all-on`: whether all of them are on, as in a graph of
+    prerequisites (requires binary factors). `any`: each combination of their values."""
     most_nodes: Annotated[int, Range(1)] = 20_000
-    """States that a search may expand; what it has not found by then it takes to be out of reach."""
+    """Most states that a search expands. Goals not found by then count as unreachable."""
     visits: Annotated[int, Range(1)] = 3
-    """Samples that make a context known, and its forecasts count."""
+    """Samples that make a context known, and its predictions count."""
     delta: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.05
-    """Error probability of one comparison between two sets of parents."""
+    """Error probability of one comparison between two sets of parents. Smaller values need more samples."""
     least_share: Annotated[float, Range(0, 0.5, open_low=True)] = 0.25
-    """Share of the samples of a context from which on a change is what the action does there."""
+    """Smallest fraction of a context's samples that makes a change the action's effect. Smaller values tolerate more
+    failures."""
 
 
 class MetRMax(FactoredRMax):
-    """Believes every set of parents that none has beaten, and looks where two of them differ."""
+    """Believes every set of parents that none has beaten, and explores where two of them differ."""
 
     settings: MetRMaxSettings
 
     def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> Meteorologists:
-        """One forecaster a set of parents."""
+        """Make a structure learner with one predictor per set of parents."""
         settings = self.settings
         return Meteorologists(sizes, actions, max_parents, all_on, settings.visits, settings.delta,
                               settings.least_share)

@@ -1,10 +1,10 @@
-"""Experiments of the largest expected information gain, and options made as dependencies are learned.
+"""Experiments of the largest expected information gain, and options built from learned dependencies.
 
-Vigorito and Barto (2010), Intrinsically motivated hierarchical skill learning in structured environments. One decision
-tree an action and variable is split leaf by leaf (`trees.py`), and the information that a sample is expected to give is
-the intrinsic reward. A leaf in which an action turns a bit on is an option: what the leaf asks for is turned on first,
-by the options of those bits. The next experiment is the most rewarding one that options lead to, one after another, so
-that what has been learned reaches what has not.
+Vigorito and Barto (2010), Intrinsically motivated hierarchical skill learning in structured environments. A decision
+tree per action and variable is split leaf by leaf (`trees.py`), and the expected information of a sample is the
+intrinsic reward. A leaf in which an action turns a bit on is an option: other options first turn on the bits that the
+leaf needs. The next experiment is the most rewarding one that options can reach, one after another. What has been
+learned therefore makes the rest reachable.
 """
 
 from __future__ import annotations
@@ -27,46 +27,47 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class VigoritoBartoSettings(AgentSettings):
-    """Trees, experiments and options of `vigorito-barto`, beside the search."""
+    """Settings of `vigorito-barto`: trees, experiments, options and search."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     max_parents: Annotated[int, Range(0, 8)] = 2
-    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    """Most factors that decide an outcome, apart from a bit's own value. The number of hypotheses is the number of
+    factors to this power."""
     conditions: Literal["all-on", "any"] = "all-on"
-    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
-    (wherever every factor is a bit). `any`: each combination of their values."""
+    """Contexts that a set of parents distinguishes. `all-on`: whether all of them are on, as in a graph of
+    prerequisites (requires binary factors). `any`: each combination of their values."""
     most_nodes: Annotated[int, Range(1)] = 20_000
-    """States that a search may expand; what it has not found by then it takes to be out of reach."""
+    """Most states that a search expands. Goals not found by then count as unreachable."""
     visits: Annotated[int, Range(1)] = 3
-    """Samples of a context after which a variable gets its option; with `sets`, no more are then needed."""
+    """Samples of a context before a variable gets its option; with `sets`, the context then counts as known."""
     models: Literal["trees", "sets"] = "trees"
     """Models of an action's outcomes. `trees`: decision trees, and the experiment of the largest information gain.
-    `sets`: sets of at most `max_parents` parents, told apart as `conditions` says, and the nearest experiment that
-    could tell two of them apart; also wherever a factor is no bit."""
+    `sets`: sets of at most `max_parents` parents, distinguished by `conditions`, and the nearest experiment that can
+    separate two of them; always used if some factor is not binary."""
     evidence: Annotated[float, Range(0)] = 3.0
-    """Nats by which a split must raise the criterion; with `trees`."""
+    """Smallest increase of the criterion for a split, in nats, with `trees`. More makes smaller trees."""
     least_gain: Annotated[float, Range(0)] = 0.3
-    """Discounted information in nats, summed over outcomes, below which an experiment is not worth its way, and the
-    task counts instead; with `trees`."""
+    """Smallest discounted information, in nats summed over outcomes, that is worth an experiment, with `trees`. Below
+    it the agent pursues the task. More explores less."""
 
 
 class Skill(NamedTuple):
     """A way to turn a bit on."""
 
-    action: int  # that does it
-    needs: tuple[tuple[int, int], ...]  # what it asks of a packed state, pairs of a factor's bits and the value there
+    action: int  # the action that turns it on
+    needs: tuple[tuple[int, int], ...]  # conditions on a packed state: pairs of a factor's bits and its value
 
 
 class VigoritoBarto(FactoredRMax):
-    """Make the experiment that tells most, by way of the options of bits; without one, go to the end of the task.
+    """Make the experiment with the most information, by way of options; without one, go to the end of the task.
 
         gain(s, a)  = sum over outcomes i of max over factors f of I(leaf of tree (a, i) that s falls into, f, s_f)
         experiment  = argmax over actions a and states s that options lead to of gamma^(k_s + k_a) gain(s, a)
 
-    I is the information that one more sample is expected to give about the distribution of the outcome in the leaf,
-    among its samples with that value of f; the trees predict s, k_s primitives from here. No option is followed on
-    from a state that is worth less than what was found before.
+    I is the expected information of one more sample about the distribution of the outcome in the leaf, among its
+    samples with that value of f. The trees predict s, k_s primitives from here. Options are not continued from a state
+    that is worth less than the best experiment found so far.
     """
 
     settings: VigoritoBartoSettings
@@ -76,26 +77,26 @@ class VigoritoBarto(FactoredRMax):
         super().__init__(observation_space, action_space, seed, settings)
         self._skills: dict[int, Skill] = {}
         self._skills_of: SearchTables | None = None
-        """The compiled model that the skills are of."""
+        """The compiled model behind the skills."""
 
     def make_learner(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool) -> StructureLearner:
-        """Trees, or sets of parents, that have not grown yet."""
+        """Make empty trees, or empty sets of parents."""
         if self.settings.models == "trees" and (sizes == 2).all():
             return TreeLearner(sizes, actions, self.settings.evidence)
         return GrowingSets(sizes, actions, max_parents, all_on)
 
     def compile_model(self, *arguments: Any) -> ActionModel:
-        """Rules of the leaves of trees, or of sets of parents."""
+        """Return rules from the leaves of trees, or from sets of parents."""
         return (compile_trees if isinstance(arguments[0], TreeLearner) else compile_action)(*arguments)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Add to the history; the end of an episode drops the plan."""
+        """Add to the history; the end of an episode discards the plan."""
         return {**super().observe(transition), "skills": len(self.find_skills())}
 
     # --- the graph ------------------------------------------------------------------------
 
     def get_graph(self) -> frozenset[tuple[int, int]]:
-        """Edges (parent, child): some action puts the child up, and asks for the parent's value where it is off."""
+        """Return edges (parent, child): some action turns the child on, and needs a value of the parent."""
         learner = self.model.learner
         if not isinstance(learner, TreeLearner):
             return super().get_graph()
@@ -109,7 +110,7 @@ class VigoritoBarto(FactoredRMax):
     # --- options of bits --------------------------------------------------------------------
 
     def find_skills(self) -> dict[int, Skill]:
-        """Ways to turn bits on, by bit of a packed state: what asks for least counts, of equals the first action."""
+        """Return skills by bit of a packed state: the one with the fewest conditions; ties by the first action."""
         self._careful.update(self.model)
         if self._skills_of is not self._careful.tables:
             self._skills_of, self._skills = self._careful.tables, {}
@@ -128,7 +129,7 @@ class VigoritoBarto(FactoredRMax):
                                                         if rule.care & mask and mask != rule.put))
 
     def _list_in_sets(self) -> Iterator[tuple[int, Skill]]:
-        """Bits that actions turn on where all parents are on, once each bit."""
+        """Bits that actions turn on while all parents are on, each once."""
         learner, packing, taken = self.model.learner, self.model.packing, set()
         for action in range(learner.actions):
             for outcome in learner.list_active(action).tolist():
@@ -143,7 +144,7 @@ class VigoritoBarto(FactoredRMax):
                         (packing.masks[p], 1 << int(packing.shifts[p])) for p in learner.hypotheses[believed]))
 
     def choose_towards(self, bit: int, state: int) -> int | None:
-        """The next action on the way to turning a bit on in a packed state; None if it is on, or no way is known."""
+        """Return the next action towards turning a bit on in a packed state; None if it is on or no way is known."""
         skills = self.find_skills()
         if state & bit:
             return None
@@ -155,11 +156,11 @@ class VigoritoBarto(FactoredRMax):
                 return skills[bit].action
             bit, value = missing[0]
             if not value:
-                return None  # it would have to go off
-        return None  # they need each other
+                return None  # it would have to be turned off
+        return None  # the bits need each other
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """An option for each bit that can be turned on, from where it is off; the whole policy where none can."""
+        """Return an option for each bit that can be turned on, from states where it is off; or the whole policy."""
         return tuple(map(self._export, sorted(self.find_skills()))) or super().get_options()
 
     def _export(self, bit: int) -> OptionPolicy:
@@ -174,14 +175,14 @@ class VigoritoBarto(FactoredRMax):
             action = self.choose_towards(bit, self.model.pack(observation))
             return action is not None and bool(action_mask[action])
 
-        # It ends where the bit is on, or the way goes on by an illegal action.
+        # It ends once the bit is on, or if the next action is illegal.
         run = MarkovRun(act, lambda observation, mask: not can_start(observation, mask))
         return OptionPolicy(f"bit-{component}", self, lambda: run, can_start, is_markov=True)
 
     # --- experiments ------------------------------------------------------------------------
 
     def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
-        """The way to the next experiment, by trees or by sets of parents; if none is left, to the end of the task."""
+        """Way to the next experiment, by trees or by sets of parents, or to the end of the task if none is left."""
         if not isinstance(self.model.learner, TreeLearner):
             return super()._find_plan(observation, action_mask)
         plan = self.find_experiment(observation, action_mask)
@@ -189,10 +190,10 @@ class VigoritoBarto(FactoredRMax):
         return plan if plan.actions else self._find_escape(observation, action_mask)
 
     def find_experiment(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
-        """The way by options to the experiment of the largest discounted information gain, which is its last action.
+        """Return the way by options to the experiment of the largest discounted information gain, its last action.
 
-        One option leads on after another as long as a better experiment can be made where it ends. The plan's value is
-        that gain, nats. It has no actions where none is worth `least_gain`.
+        Options follow each other while a better experiment is possible at the end. The plan's value is that gain, in
+        nats. The plan is empty if no experiment is worth `least_gain`.
         """
         learner, shifts = self.model.learner, self.model.packing.shifts
         assert isinstance(learner, TreeLearner)
@@ -216,7 +217,7 @@ class VigoritoBarto(FactoredRMax):
 
     def _follow(self, bit: int, way: _Way, action_mask: NDArray[np.bool_], durations: NDArray[np.float64],
                 places: NDArray[np.int64]) -> _Way | None:
-        """A way led on by an option until its bit is on; None where that is not foreseen."""
+        """A way extended by an option until its bit is on, or None if the outcome is not predictable."""
         for _ in range(len(self.model.components)):
             action = self.choose_towards(bit, way.state)
             if action is None or not self._find_legal(way, action_mask)[action]:
@@ -226,7 +227,7 @@ class VigoritoBarto(FactoredRMax):
         return way if way.actions and way.state & bit else None
 
     def _find_legal(self, way: _Way, action_mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Actions that may follow: those legal here, and further on all but a last one that never follows itself."""
+        """Actions that can follow: legal ones here; later all except a last one that never follows itself."""
         if not way.actions:
             return action_mask
         legal = np.ones(len(action_mask), np.bool_)
@@ -234,7 +235,7 @@ class VigoritoBarto(FactoredRMax):
         return legal
 
     def predict(self, state: int, action: int) -> int:
-        """The likeliest state after an action; the same where the task ends."""
+        """Return the likeliest state after an action; unchanged if the task ends."""
         matching = [rule for rule in self._careful.models[action].rules if state & rule.care == rule.value]
         if any(rule.over for rule in matching):
             return state
@@ -244,9 +245,9 @@ class VigoritoBarto(FactoredRMax):
 
 
 class _Way(NamedTuple):
-    """States that options lead to: a state, the actions on the way and the states in which they are taken.
+    """A sequence of options: the final state, the actions, and the state before each action.
 
-    `elapsed` is in primitives, `place` the row of the table of durations that holds at the end.
+    `elapsed` is in primitives, `place` the row of the table of durations at the end.
     """
 
     state: int

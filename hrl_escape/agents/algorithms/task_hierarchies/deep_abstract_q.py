@@ -1,7 +1,7 @@
-"""Deep abstract Q-networks: R-MAX over abstract states that are met, a learner for each step between two of them.
+"""Deep abstract Q-networks: R-MAX over visited abstract states, and an agent for each step between two of them.
 
-Roderick, Grimm and Tellex (2018). The abstraction is given; which abstract states there are, and which lie next to each
-other, is found out.
+Roderick, Grimm and Tellex (2018). The abstraction is given; the set of abstract states and their neighbours are
+learned.
 """
 
 from __future__ import annotations
@@ -26,38 +26,38 @@ from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 
 Abstraction = Callable[[Any], Any]
-"""From an observation to its abstract state: numbers, an array or a tuple of them."""
+"""Function from an observation to its abstract state: numbers, an array or a tuple of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeepAbstractQSettings(AgentSettings):
-    """Settings of `deep-abstract-q`; workers are otherwise `dqn` or `q-learning` at their defaults."""
+    """Settings of `deep-abstract-q`; workers are `dqn` or `q-learning` with other settings at their defaults."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     worker: Literal["network", "table"] = "network"
-    """Learner of a step: `dqn`, or `q-learning`."""
+    """Algorithm of the workers: `dqn`, or `q-learning`."""
     most_states: Annotated[int, Range(2)] = 64
-    """Most abstract states; those met later count as the last."""
+    """Most abstract states; states met later count as the last."""
     visits: Annotated[int, Range(1)] = 30
-    """Tries of a step before it is weighed; until then it is worth `optimistic_value`."""
+    """Tries of a step before its model is used; until then it is worth `optimistic_value`."""
     optimistic_value: float = 100.0
-    """Value of a step that is not known, in units of return: no true value may be higher."""
+    """Value of an unknown step, in units of return. No true value may be higher; higher values explore more."""
     recency: Annotated[float, Range(0, 1)] = 0.05
-    """Least weight of a step's latest outcome in its model, for workers get better; 0 weighs all alike."""
+    """Smallest weight of a step's latest outcome in its model, because workers improve; 0 weighs all equally."""
     worker_epsilon: Annotated[float, Range(0, 1)] = 0.1
-    """Share of random primitives on the way to a target."""
+    """Probability of a random primitive on the way to a target. More explores more."""
     patience: Annotated[int, Range(1)] = 50
-    """Primitives after which a step is given up."""
+    """Most primitives of a step."""
 
 
 class _Step(BaseTask):
-    """Goes from the abstract state it was called in to one next to it; without a target, to any, at random.
+    """Goes from its initial abstract state to a neighbouring one; without a target, to any, at random.
 
-    Told the two numbers, as an array; -1 stands for no target.
+    Its view includes the numbers of both as an array; -1 means no target.
     """
 
     def __init__(self, primitives: int, find: Callable[[Any], int], patience: int) -> None:
@@ -74,13 +74,13 @@ class _Step(BaseTask):
         return float(frame.primitives >= self._patience or self.has_left(frame, seen))
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """1 for the target, -1 for any other abstract state."""
+        """Return 1 for the target, -1 for any other abstract state."""
         there = self._find(step.next_seen.observation)
         return 0.0 if there == frame.context[0] else step.arrival * (1.0 if there == frame.context[1] else -1.0)
 
 
 class _Manager(BaseTask):
-    """Names an abstract state that was seen to follow the present one, or, as the last choice, none."""
+    """Chooses an abstract state that was seen to follow the current one, or none (the last choice)."""
 
     def __init__(self, states: int, find: Callable[[Any], int], is_next: NDArray[np.bool_], step: _Step) -> None:
         super().__init__("manager", states + 1)
@@ -97,18 +97,18 @@ class _Manager(BaseTask):
 class DeepAbstractQ(CallRunner):
     """Plan over abstract states u with V(u) = max over v of R(u, v) + sum over w of F(u, v, w) V(w).
 
-    v is an abstract state that was seen next to u, or none: then primitives are random. R and F are running means of
-    what a step from u towards v earned, and of gamma^k for the state w in which it ended, 0 where the episode
-    terminated. A step tried fewer than `visits` times is worth `optimistic_value`. The worker of (u, v) is paid 1 for
-    reaching v and -1 for reaching another, which both end its episode; a step that is given up bootstraps.
+    v is an abstract state that was seen next to u, or none: primitives are then random. R and F are running means of
+    the reward of a step from u towards v, and of gamma^k for the state w where it ended, 0 if the episode terminated. A
+    step with fewer than `visits` tries is worth `optimistic_value`. The worker of (u, v) has reward 1 for reaching v
+    and -1 for reaching another state; both end its episode. An abandoned step bootstraps.
 
     Args:
-        abstraction: by default an observation is its bounded components, each rounded to the nearer bound, or, where it
-            is Discrete, itself.
+        abstraction: the abstraction. By default the bounded components of an observation, each rounded to the nearer
+            bound, or a Discrete observation itself.
 
     Attributes:
-        workers: (u, v) -> the learner of that step.
-        is_next: bool (states, states), v was seen right after u.
+        workers: (u, v) -> the agent of that step.
+        is_next: whether v was seen right after u, bool (states, states).
     """
 
     Settings = DeepAbstractQSettings
@@ -122,7 +122,7 @@ class DeepAbstractQ(CallRunner):
         coarse = ResolutionSettings(bins=2)
         self._abstract = abstraction or make_cell_finder(observation_space, coarse, "deep-abstract-q")
         self._keys: list[str] = []
-        """Abstract states as text, in the order in which they were met."""
+        """Abstract states as text, in the order of their first visit."""
         self.is_next = np.zeros((states, states), np.bool_)
         step = _Step(count_actions(action_space, "deep-abstract-q"), self.find, settings.patience)
         manager = _Manager(states, self.find, self.is_next, step)
@@ -135,7 +135,7 @@ class DeepAbstractQ(CallRunner):
         self._action_rng = make_rng(seed, "actions")
 
     def find(self, observation: Any) -> int:
-        """Number of an observation's abstract state; one never met has the next number that is free."""
+        """Return the number of an observation's abstract state; a new one has the next free number."""
         key = str(np.asarray(self._abstract(observation)).tolist())
         number = self._keys.index(key) if key in self._keys else len(self._keys)
         return min(number, self.settings.most_states - 1)
@@ -148,12 +148,12 @@ class DeepAbstractQ(CallRunner):
     # --- acting --------------------------------------------------------------------------
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Meet the observation's abstract state, and act in it."""
+        """Register the observation's abstract state, and act in it."""
         self._meet(observation)
         return super().act(observation, action_mask)
 
     def compute_step_values(self, state: int, unknown: float) -> NDArray[np.float64]:
-        """Q(u, .) of the steps from an abstract state, the last without a target, (states + 1,); else `unknown`."""
+        """Return Q(u, .) of steps from an abstract state, the last without a target, (states + 1,); else `unknown`."""
         legal = np.column_stack([self.is_next, np.ones(len(self.is_next), np.bool_)])
         known, q = self._counts >= self.settings.visits, np.zeros(self._counts.shape)
         values = np.full(len(legal), min(unknown, self.settings.optimistic_value))
@@ -171,13 +171,13 @@ class DeepAbstractQ(CallRunner):
             made = DQN if self.settings.worker == "network" else QLearning
             seed = int(np.random.SeedSequence([self._seed, *pair]).generate_state(1)[0])
             epsilon = self.settings.worker_epsilon
-            alone = {"n_step": 1} if made is DQN else {}  # streams take turns, so that decisions in a row are no way
+            alone = {"n_step": 1} if made is DQN else {}  # environments take turns, and decisions in a row are no way
             self.workers[pair] = made(*self._spaces, seed, made.Settings(
                 gamma=self.settings.gamma, epsilon_start=epsilon, epsilon_end=epsilon, **alone))
         return self.workers[pair]
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """The best step by the optimistic model; the worker's exploring choice, without a target any."""
+        """Return the best step by the optimistic model, or the worker's exploring choice (random without a target)."""
         frame = stack[-1]
         if frame.context is None:
             values = self.compute_step_values(self.find(seen.observation), self.settings.optimistic_value)
@@ -189,7 +189,7 @@ class DeepAbstractQ(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best step that is known, the worker's best choice; where there is none, any."""
+        """Return the best known step, or the worker's best choice; a random one without any."""
         frame = stack[-1]
         if frame.context is None:
             worst = min(float(self._rewards.min()), 0.0) / max(1 - self.gamma, 1e-3) - 1
@@ -200,7 +200,7 @@ class DeepAbstractQ(CallRunner):
     # --- learning ------------------------------------------------------------------------
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Teach the worker its choice, and the manager's model the step that came back."""
+        """Train the worker with its choice, and update the manager's model with finished steps."""
         metrics: dict[str, float] = {}
         before = self.find(step.seen.observation)
         self._meet(step.next_seen.observation)
@@ -214,7 +214,7 @@ class DeepAbstractQ(CallRunner):
                     self._model(start, choice, transition.reward, 0.0 if transition.terminated else transition.discount,
                                 after)
             elif frame.context[1] >= 0:
-                if returned.ended and not returned.terminated and before == after:  # given up
+                if returned.ended and not returned.terminated and before == after:  # abandoned
                     transition = transition._replace(terminated=False, truncated=True)
                 worker = self._get_worker((int(frame.context[0]), int(frame.context[1])))
                 metrics |= serve_one(worker).observe(transition)
@@ -229,7 +229,7 @@ class DeepAbstractQ(CallRunner):
 
     @property
     def _saved_workers(self) -> list[StateTree]:
-        """Pairs of numbers and their workers' states."""
+        """Pairs of abstract states and their workers' states."""
         return [{"pair": list(pair), "state": worker.state_dict()} for pair, worker in self.workers.items()]
 
     @_saved_workers.setter
@@ -239,5 +239,5 @@ class DeepAbstractQ(CallRunner):
             self._get_worker((int(each["pair"][0]), int(each["pair"][1]))).load_state_dict(each["state"])
 
     def after_load(self) -> None:
-        """Let the manager see which steps are known."""
+        """Share the known steps with the manager."""
         self.hierarchy.root._is_next = self.is_next  # type: ignore[attr-defined]

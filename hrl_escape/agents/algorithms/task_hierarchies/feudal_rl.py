@@ -1,8 +1,8 @@
-"""Feudal learning: managers over cells within cells, each paid for obeying its own manager.
+"""Feudal learning: managers over nested cells, each rewarded for following its own manager's orders.
 
-Dayan and Hinton (1993), Feudal reinforcement learning. A manager sees the cell of its level that the agent is in, and
-orders its sub-manager to leave that cell in a direction, or to search inside (information hiding); whoever obeys is
-paid, also if the order was no good (reward hiding).
+Dayan and Hinton (1993), Feudal reinforcement learning. A manager observes the agent's cell at its level. It orders its
+sub-manager to leave that cell in a direction, or to search inside (information hiding). Sub-managers are rewarded for
+following the order, even if the order was bad (reward hiding).
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
 DIRECTIONS = ((-1, 0), (1, 0), (0, -1), (0, 1))
-"""North, south, west, east: how row and column change."""
+"""North, south, west, east: changes of row and column."""
 SEARCH = len(DIRECTIONS)
-"""The command to search inside the cell; commands below it are directions."""
+"""The command to search inside the cell; smaller commands are directions."""
 ORDER_NAMES = ("north", "south", "west", "east", "search")
 """Names of the commands."""
 
 
 @dataclass(frozen=True)
 class Quadtree:
-    """A square that is cut into four at every level: at level n into 2^n x 2^n cells."""
+    """A square divided into four at every level: level n has 2^n x 2^n cells."""
 
     depth: int  # finest level; level 0 is the whole square
     place: Callable[[Any], tuple[float, float]]
-    """Observation -> (row, column) in the square, each from 0 up to but not including 1."""
+    """Function from an observation to (row, column) in the square, each in [0, 1)."""
     phase: Callable[[Any], tuple[int, ...]] | None = None
-    """Observation -> what every manager sees beside its cell, as numbers; nothing by default."""
+    """Function from an observation to numbers that every manager sees in addition to its cell; none by default."""
     has_found: Callable[[Any, Any], bool] | None = None
-    """(observation at the order, observation) -> whether a search has found what it was for; by default only the end of
-    the episode is that."""
+    """Function (observation at the order, observation) -> whether a search has succeeded; by default only the end of
+    the episode is a success."""
     policy: Callable[[Any, tuple[int, int], int], int | None] | None = None
-    """(observation, cell, order) -> the primitive by which the last level obeys an order about a cell of the finest
-    level, None where none does; by default that is learned."""
+    """Function (observation, cell, order) -> the primitive with which the last level follows an order about a cell of
+    the finest level, or None if there is none. By default this policy is learned."""
 
     def __post_init__(self) -> None:
         if self.depth < 0:
             raise AgentSettingsError("Quadtree.depth", self.depth, "0 or more")
 
     def find_cell(self, observation: Any, level: int) -> tuple[int, int]:
-        """Row and column of the cell of a level that an observation lies in.
+        """Return row and column of an observation's cell at a level.
 
         Raises:
-            AgentSettingsError: `place` leads out of the square.
+            AgentSettingsError: `place` is outside the square.
         """
         place = self.place(observation)
         if not all(0 <= coordinate < 1 for coordinate in place):
@@ -63,35 +63,35 @@ class Quadtree:
         return row, column
 
     def has_neighbour(self, cell: tuple[int, int], level: int, direction: int) -> bool:
-        """The cell next to a cell in a direction lies in the square."""
+        """Return whether the neighbour of a cell in a direction is in the square."""
         return all(0 <= here + step < 2**level for here, step in zip(cell, DIRECTIONS[direction], strict=True))
 
 
 class FeudalTask(BaseTask):
     """The manager of one level; the last one chooses primitives.
 
-    A call is an order from the level above, about the cell of that level in which it is given: the cell to be left, or
-    to be searched. The root has no order and is paid by the environment.
+    A call is an order from the level above, about the current cell of that level: to leave it, or to search it. The
+    root has no order, and its reward is the environment's.
 
     Args:
-        level: of the cells that it sees and gives orders about; below the tree's depth it sees the observation and
-            chooses primitives.
-        penalty: what leaving the cell other than ordered costs.
-        patience: primitives after which an order to the last level is given up, and twice as many a level higher; 0
-            never gives up.
+        level: level of the cells that it observes and gives orders about. Below the tree's depth it observes the
+            observation and chooses primitives.
+        penalty: cost of leaving the cell against the order.
+        patience: primitives after which an order to the last level is abandoned, doubled for each level above; 0 never
+            abandons.
     """
 
     def __init__(self, tree: Quadtree, level: int, primitives: int, penalty: float, patience: int) -> None:
         self.tree, self.level = tree, level
         self.is_last = level > tree.depth
         super().__init__(f"level {level}", primitives if self.is_last else SEARCH + 1)
-        # An order that a policy obeys is obeyed at last; what lies between may have been ordered in vain.
+        # A policy that follows orders does so eventually; orders of levels in between can still fail.
         self.is_obedient = self.is_last and tree.policy is not None
         self._patience = 0 if self.is_obedient else patience * 2 ** (tree.depth + 1 - level)
         self._penalty = penalty
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """The cell of its level, row and column, and the phase; the last level sees the observation."""
+        """Return row and column of its cell, and the phase; the last level sees the observation."""
         if self.is_last:
             return seen.observation
         phase = self.tree.phase
@@ -99,9 +99,9 @@ class FeudalTask(BaseTask):
         return np.array(cell if phase is None else (*cell, *phase(seen.observation)))
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Directions that do not lead out of the square, and the search; primitives on the last level.
+        """Return legal commands: directions inside the square, and the search; primitives on the last level.
 
-        Where a policy obeys, its primitive, and the orders that it can obey.
+        With a given policy these are its primitive, and the orders that it can follow.
         """
         if self.is_last:
             return self._obey(seen, context) if self.is_obedient else seen.mask
@@ -109,7 +109,7 @@ class FeudalTask(BaseTask):
         inside = [self.tree.has_neighbour(cell, self.level, direction) for direction in range(SEARCH)]
         legal = np.array([*inside, True], np.bool_)
         if self.tree.policy is not None and isinstance(self.child, FeudalTask):
-            if not self.child.is_last:  # its choices are the same whatever its order
+            if not self.child.is_last:  # its choices are independent of its order
                 return legal & self.child.legal(seen, None).any()
             for order in legal.nonzero()[0].tolist():
                 legal[order] = self.child.legal(seen, order).any()
@@ -121,11 +121,11 @@ class FeudalTask(BaseTask):
         return allow_only(chosen, seen.mask)
 
     def list_calls(self) -> Mapping[str, Any]:
-        """One a direction, and one to search."""
+        """Return one call per direction, and one to search."""
         return {f"{self.name} {order}": number for number, order in enumerate(ORDER_NAMES)}
 
     def find_exit(self, frame: Frame, seen: Seen) -> tuple[int, int] | None:
-        """Row and column by which the call's cell was left; None inside it."""
+        """Return the change of row and column from the call's cell, or None inside it."""
         if frame.context is None:
             return None
         (top, left), (row, column) = (self.tree.find_cell(each.observation, self.level - 1)
@@ -133,7 +133,7 @@ class FeudalTask(BaseTask):
         return None if (top, left) == (row, column) else (row - top, column - left)
 
     def is_settled(self, frame: Frame, seen: Seen) -> bool:
-        """The cell was left, or what was searched for was found."""
+        """Return whether the cell was left, or the search has succeeded."""
         return self.find_exit(frame, seen) is not None or self._has_found(frame, seen)
 
     def _has_found(self, frame: Frame, seen: Seen) -> bool:
@@ -142,12 +142,12 @@ class FeudalTask(BaseTask):
         return is_search and found is not None and found(frame.start.observation, seen.observation)
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Certain where the cell is left, in whatever direction, a search has found, or patience has run out."""
+        """Return 1 if the cell was left in any direction, a search has succeeded, or patience has run out."""
         given_up = frame.context is not None and 0 < self._patience <= frame.primitives
         return float(given_up or self.is_settled(frame, seen))
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """1 for leaving as ordered, for finding, for an episode's end in a search; else the penalty for leaving."""
+        """Return 1 for leaving as ordered, success, or the episode's end in a search; minus the penalty for leaving."""
         if frame.context is None:
             return step.reward
         if self._has_found(frame, step.next_seen):
@@ -160,7 +160,7 @@ class FeudalTask(BaseTask):
 
 
 def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patience: int) -> Hierarchy:
-    """Managers of the levels 1 to the tree's depth, and one of primitives below."""
+    """Make managers of the levels 1 to the tree's depth, and one of primitives below."""
     levels = [FeudalTask(tree, level, primitives, penalty, patience) for level in range(1, tree.depth + 2)]
     for above, below in zip(levels, levels[1:], strict=False):
         above.child = below
@@ -172,61 +172,62 @@ def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patie
 
 @dataclass(frozen=True, kw_only=True)
 class FeudalRlSettings(AgentSettings):
-    """Pay and patience of orders in `feudal-rl`, beside rates, exploration and discount."""
+    """Settings of `feudal-rl`: rewards and patience of orders, step sizes, exploration and discount."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     penalty: Annotated[float, Range(0)] = 0.2
-    """Cost to a manager of leaving its cell otherwise than it was ordered to."""
+    """Cost to a manager of leaving its cell against the order. More makes managers follow orders more strictly."""
     patience: Annotated[int, Range(0)] = 10
-    """Primitives after which an order to the last level is given up, and twice as many a level higher; 0 never gives
-    up. Walls may shut the way that a manager was ordered."""
+    """Most primitives of an order to the last level, doubled for each level above; 0 sets no limit. Walls can block an
+    ordered way."""
 
 
 class FeudalRl(TabularRunner):
     """Q-learning at every level of a quadtree, given the order from above.
 
-    Level n in cell c, ordered m, chose a; that came back after k primitives in cell c', paid rho on the way:
+    Level n in cell c with order m chose a; that ended after k primitives in cell c', with reward rho on the way:
 
         Q_n(c, m, a) <- Q_n + alpha [rho + gamma^k (1 - over) max over legal a' of Q_n(c', m, a') - Q_n(c, m, a)]
 
-    rho is gamma^(k-1) times 1 where m was obeyed: the cell above c was left in the direction ordered, or the episode
-    terminated during a search; minus a penalty where it was left in another direction; 0 else. "Over" is either, or
-    the end of the episode; an order that was given up, or cut, bootstraps. The top level alone is paid by the
-    environment, R = sum of gamma^i r_i. Below the tree the last level sees the observation and chooses primitives.
+    rho is gamma^(k-1) times 1 if m was followed: the cell above c was left in the ordered direction, or the episode
+    terminated during a search; minus a penalty if it was left in another direction; otherwise 0. "Over" is either, or
+    the end of the episode; an order that was abandoned or cut bootstraps. Only the top level has the environment's
+    reward, R = sum of gamma^i r_i. Below the tree the last level observes the observation and chooses primitives.
 
-    A cell is no state: where in it the agent is decides what follows. Values of managers need not converge.
+    A cell is not a state: the outcome depends on where in the cell the agent is. Values of managers need not converge.
 
     Args:
-        tree: the cells; by default there are none, which is Q-learning.
+        tree: the cells; by default none, which is Q-learning.
     """
 
     Settings: ClassVar[type] = FeudalRlSettings
@@ -243,21 +244,21 @@ class FeudalRl(TabularRunner):
         self._discretise = make_discretiser(observation_space, settings, "feudal-rl")
 
     def make_key(self, task: FeudalTask, view: Any, order: int | None) -> bytes:
-        """Key of what a level sees and what it was ordered."""
+        """Return the key of a level's view and order."""
         seen = self._discretise(view) if task.is_last else np.asarray(view, np.int32).tobytes()
         return seen + np.int32(-1 if order is None else order).tobytes()
 
     def compute_choice_values(self, task: FeudalTask, view: Any, order: int | None) -> NDArray[np.float64]:
-        """Q_n(c, m, .), (choices,)."""
+        """Return Q_n(c, m, .), (choices,)."""
         return self.tables[task.name].get_values(self.make_key(task, view, order))
 
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """The level's values; none on the last level where the tree says how to obey."""
+        """Return the level's values; None on the last level with a given policy."""
         task = _get_task(stack)
         return None if task.is_obedient else self.compute_choice_values(task, view, stack[-1].context)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn at every level whose choice came back."""
+        """Learn at every level whose choice ended."""
         error = 0.0
         for returned in returns:
             task, frame, decision = _get_task(returned.stack), returned.frame, returned.decision
@@ -268,7 +269,7 @@ class FeudalRl(TabularRunner):
                 view = task.view(returned.seen, returned.stack)
                 legal = task.legal(returned.seen, order)
                 if not legal.any():
-                    continue  # stuck
+                    continue  # the order was abandoned without leaving the place
                 values = self.compute_choice_values(task, view, order)
                 target += decision.discount * float(np.where(legal, values, -np.inf).max())
             key = self.make_key(task, decision.view, order)

@@ -1,7 +1,7 @@
-"""H-UCT: Monte Carlo tree search over a task graph, with a simulator in place of learning.
+"""H-UCT: Monte Carlo tree search over a task graph, with a simulator instead of learning.
 
-Vien and Toussaint (2015), Hierarchical Monte-Carlo planning, for states that are seen. Each task
-searches with its own counts; what a child earned is a reward to its caller, as in MAXQ.
+Vien and Toussaint (2015), Hierarchical Monte-Carlo planning, for observable states. Each task searches with its own
+counts; a child's return is a reward to its caller, as in MAXQ.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hrl_escape.settings import Range
 
 
 class Sampled(NamedTuple):
-    """One simulated primitive: what it earned, where it led, and how many steps of the environment it took."""
+    """One simulated primitive: its reward, its next observation, and its number of environment steps."""
 
     reward: float
     next_observation: Any
@@ -36,43 +36,43 @@ class Sampled(NamedTuple):
 
 
 Simulator = Callable[[Any, int, np.random.Generator], Sampled]
-"""Draws the outcome of a primitive: (observation, primitive, rng) -> sample."""
+"""Samples the outcome of a primitive: (observation, primitive, rng) -> sample."""
 
 
 _Met = dict[tuple[bytes, int], list[Sampled]]
-"""(state, primitive) -> outcomes met, where no simulator is given."""
+"""(state, primitive) -> observed outcomes, used without a simulator."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HUctSettings(AgentSettings):
-    """Size of the searches of `h-uct`, and how they explore."""
+    """Settings of `h-uct`: size and exploration of the searches."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "always"
-    """Plan from the root again at each primitive, instead of letting calls come to their end: never, in evaluation
+    """When to plan from the root again at each primitive, instead of running calls to their end: never, in evaluation
     only, or always."""
     simulations: Annotated[int, Range(1)] = 200
-    """Simulations for each choice of each running task."""
+    """Simulations for each choice of each running task. More plan better and take longer."""
     depth: Annotated[int, Range(1)] = 100
-    """Primitives of a simulation."""
+    """Largest number of primitives of a simulation. More look further ahead and take longer."""
     patience: Annotated[int, Range(0)] = 0
-    """Primitives after which a simulated call below the first is given up; 0 never gives up before `depth`."""
+    """Most primitives of a simulated call below the first; 0 sets no limit before `depth`."""
     exploration: Annotated[float, Range(0)] = 0.5
-    """Weight c of the bonus for what was seldom tried, in units of the range of returns."""
+    """Weight c of the bonus for choices with few tries, in units of the range of returns. More explores more."""
     return_range: Annotated[float, Range(0)] = 0.0
-    """Largest minus smallest return of a task; 0 measures it in each task, which is too little where reward is rare,
-    and takes 1 while all returns were equal."""
+    """Largest minus smallest return of a task. 0 measures it in each task, which underestimates rare rewards, and uses
+    1 while all returns are equal."""
     visits: Annotated[int, Range(1)] = 1
-    """Without a simulator, samples that make a pair of state and primitive known; 1 is enough where outcomes are
-    deterministic."""
+    """Samples that make a pair of state and primitive known, without a simulator. 1 is enough for deterministic
+    outcomes."""
     optimistic_value: float = 0.0
-    """Without a simulator, the return of an unknown pair."""
+    """Return of an unknown pair, without a simulator. Higher values explore more."""
 
 
 def _save_met(met: _Met) -> list[Any]:
@@ -93,19 +93,19 @@ def _load_met(saved: list[Any]) -> _Met:
 class HUct(CallRunner):
     """Upper confidence bounds at every task of a graph.
 
-    In task i at state s, visited N times, it tries each legal child c once, then
+    In task i at state s, visited N times, it tries each legal child c once, then chooses
 
         argmax over c of  V(c, s) + D(i, s, c) + b sqrt(log N / n_c),   b = c (largest - smallest return of task i)
 
-    V(c, s) is the mean reward of a primitive, the value of a task's best child below. D and C are means of
-    gamma^k times what i earned after c, with and without the pseudo-reward of i's end: i chooses by D, its caller is
-    told C. Simulations try unvisited children at random, so beyond the tree they are random hierarchical walks. Every
-    choice is planned with counts of its own, and nothing is kept.
+    V(c, s) is the mean reward of a primitive, or the value of a task's best child. D and C are means of gamma^k times
+    what i earned after c, with and without the pseudo-reward of i's end: i chooses by D and reports C to its caller.
+    Simulations try unvisited children at random, and are random hierarchical walks beyond the tree. Every choice is
+    planned with new counts.
 
     Args:
-        observation_space: for tasks without a view of their own.
-        hierarchy: from `maxq(graph, until)`; without one, a single task over all primitives, which is UCT.
-        simulator: of the environment; without one, outcomes are drawn from those that were met.
+        observation_space: space of the observations, for tasks without a view of their own.
+        hierarchy: result of `maxq(graph, until)`; without one, a single task over all primitives, which is UCT.
+        simulator: simulator of the environment; without one, outcomes are drawn from the observed ones.
     """
 
     Settings: ClassVar[type] = HUctSettings
@@ -124,12 +124,12 @@ class HUct(CallRunner):
         self._search_rng = make_rng(seed, "search")
 
     def make_key(self, task: GraphTask, seen: Seen) -> Hashable:
-        """Key of a task at a moment, by the task's view."""
+        """Return the key of a task at a moment, from the task's view."""
         view = task.views.get(None)
         return task.name, self._discretise(seen.observation) if view is None else freeze(view(seen))
 
     def sample(self, seen: Seen, primitive: int, rng: np.random.Generator) -> Sampled:
-        """Draw the outcome of a primitive, by the simulator or from what was met."""
+        """Draw the outcome of a primitive, from the simulator or from observed outcomes."""
         if self._simulator is not None:
             return self._simulator(seen.observation, primitive, rng)
         met = self._met.get((self._discretise(seen.observation), primitive), [])
@@ -138,7 +138,7 @@ class HUct(CallRunner):
         return met[int(rng.integers(len(met)))]
 
     def plan(self, task: GraphTask, seen: Seen, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Values of a task's choices after fresh simulations, (choices,); -inf where illegal or never tried."""
+        """Return values of a task's choices after new simulations, (choices,); -inf if illegal or never tried."""
         search = _Search(self, rng)
         for _ in range(self.settings.simulations):
             search.simulate(task, seen, self.settings.depth)
@@ -147,18 +147,18 @@ class HUct(CallRunner):
     # --- the agent --------------------------------------------------------------------
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """The best choice by a search of the agent's own."""
+        """Return the best choice, by a search with the agent's generator."""
         return self.choose_greedy(stack, view, legal, seen, self._search_rng)
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best choice by a search that draws from `rng`."""
+        """Return the best choice, by a search with `rng`."""
         if legal.sum() == 1:
             return int(legal.argmax())
         return choose_best(self.plan(get_task(stack), seen, rng), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Without a simulator, keep the outcome."""
+        """Store the outcome, if there is no simulator."""
         if self._simulator is None:
             key = self._discretise(step.seen.observation), step.action
             after, mask, _ = step.next_seen
@@ -168,7 +168,7 @@ class HUct(CallRunner):
 
 
 class _Run(NamedTuple):
-    """Outcome of a simulated call: R and gamma^k from its beginning, primitives, and where it ended."""
+    """Outcome of a simulated call: R and gamma^k from its beginning, primitives, and final observation."""
 
     reward: float
     discount: float
@@ -183,36 +183,36 @@ class _Node:
     def __init__(self, choices: int) -> None:
         self.visits = 0
         self.counts = np.zeros(choices, np.int64)
-        """Times that each was chosen, those of the running simulation included: it may come back to the same state."""
+        """Number of tries of each choice, with the running simulation, which can return to the same state."""
         self.finished = np.zeros(choices, np.int64)
-        """Times that what followed is known."""
+        """Number of tries with a known continuation."""
         self.rewards = np.zeros(choices)
         """Mean reward of the child."""
         self.own = np.zeros(choices)
-        """D: mean of what followed, pseudo-reward included."""
+        """D: mean of the continuation, with pseudo-reward."""
         self.told = np.zeros(choices)
-        """C: the same without."""
+        """C: the same without pseudo-reward."""
 
     def record(self, choice: int, reward: float, own: float, told: float) -> None:
-        """Move the means of a choice."""
+        """Update the means of a choice."""
         self.finished[choice] += 1
         count = self.finished[choice]
         for means, value in ((self.rewards, reward), (self.own, own), (self.told, told)):
             means[choice] += (value - means[choice]) / count
 
     def compute_values(self, search: _Search, task: GraphTask, seen: Seen) -> NDArray[np.float64]:
-        """V(c, s) + D(i, s, c), (choices,); -inf where never tried."""
+        """Return V(c, s) + D(i, s, c), (choices,); -inf if never tried."""
         tried = [self.get_reward(search, task, seen, choice) + self.own[choice] if self.finished[choice] else -np.inf
                  for choice in range(len(self.counts))]  # fmt: skip
         return np.array(tried)
 
     def get_reward(self, search: _Search, task: GraphTask, seen: Seen, choice: int) -> float:
-        """V(c, s): of a primitive its mean reward, of a task what its best choice is worth to its caller."""
+        """Return V(c, s): the mean reward of a primitive, or the value of a task's best choice to its caller."""
         child = task.children[choice]
         if isinstance(child, int):
             return float(self.rewards[choice])
         node = search.get_node(child, seen)
-        if not node.finished.any():  # the caller's view holds several states, and the child ran in another one
+        if not node.finished.any():  # the caller's view covers several states, and the child ran in another one
             return float(self.rewards[choice])
         best = int(node.compute_values(search, child, seen).argmax())
         return node.get_reward(search, child, seen, best) + float(node.told[best])
@@ -220,13 +220,13 @@ class _Node:
 
 @dataclass
 class _Search:
-    """The tree of one choice."""
+    """The search tree of one choice."""
 
     agent: HUct
     rng: np.random.Generator
     nodes: dict[Hashable, _Node] = field(default_factory=dict)
     ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Task -> smallest and largest return met, pseudo-reward included."""
+    """Task -> smallest and largest return, with pseudo-reward."""
 
     def get_node(self, task: GraphTask, seen: Seen) -> _Node:
         key = self.agent.make_key(task, seen)
@@ -235,9 +235,9 @@ class _Search:
         return self.nodes[key]
 
     def select(self, task: GraphTask, seen: Seen, node: _Node, legal: NDArray[np.bool_]) -> int:
-        """A legal child never tried, at random; else the one of the highest upper confidence bound.
+        """Return a random untried legal child, or the one with the highest upper confidence bound.
 
-        Where a simulation comes back to a state whose children are not all known, it walks on at random.
+        In a state that the simulation returns to before all its children are known, it chooses at random.
         """
         fresh = legal & (node.finished == 0)
         if fresh.any():

@@ -1,4 +1,4 @@
-"""HAC, hierarchical actor-critic: every level learns as if the levels below it were already as good as they can be.
+"""HAC, hierarchical actor-critic: every level learns as if the levels below it were already optimal.
 
 Levy, Konidaris, Platt and Saenko (2019), with finitely many goals and Q-learning in tables, as in their grid worlds.
 """
@@ -23,40 +23,40 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 END = -1
-"""Goal of the root where the episode names none: that the episode ends in the task's sense."""
+"""Goal of the root if the episode has none: termination of the episode."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HacSettings(AgentSettings):
-    """Settings of `hac`; `gamma` discounts once for each choice of a level."""
+    """Settings of `hac`; `gamma` discounts once per choice of a level."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     levels: Annotated[int, Range(2, 4)] = 2
-    """Levels, the one that chooses primitives included."""
+    """Number of levels, including the one that chooses primitives."""
     attempts: Annotated[int, Range(1)] = 5
-    """H: choices within which a level is to reach its goal. A level i above the primitives gives up after H^(i + 1)
-    primitives, the highest never."""
+    """H, most choices of a level for one goal. A level i above the primitives stops after H^(i + 1) primitives, the
+    highest level never."""
     subgoal_tests: Annotated[float, Range(0, 1)] = 0.3
-    """Share of subgoals that the levels below must reach without exploring; a miss is worth -H."""
+    """Fraction of subgoals that are tested: the levels below must reach them without exploring; a miss is worth -H."""
     random_share: Annotated[float, Range(0, 1)] = 0.2
-    """Share of choices that are uniform over the legal ones."""
+    """Probability of a uniform legal choice. More explores more."""
     hindsight_goals: Annotated[int, Range(0)] = 3
-    """Goals reached later in a level's call under which each of its choices is learned from again."""
+    """Number of goals reached later in a level's call that each of its choices is also learned for."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size of the tables."""
+    """Step size of the tables. Smaller values average noise."""
 
 
 class _Level(GoalTask):
-    """Pursues a goal by goals for the level below, or by primitives."""
+    """Pursues a goal through goals of the level below, or through primitives."""
 
     def __init__(self, name: str, space: GoalSpace, choices: int, below: _Level | None, limit: int) -> None:
         super().__init__(name, space, choices, below)
@@ -76,16 +76,16 @@ class _Level(GoalTask):
 
 
 class Hac(CallRunner):
-    """Q_i(s, a; g) = 0 where a reaches g, else -1 + gamma max over a' of Q_i(s', a'; g), within -H and 0.
+    """Q_i(s, a; g) = 0 if a reaches g, else -1 + gamma max over a' of Q_i(s', a'; g), in [-H, 0].
 
-    The actions a of a level above the primitives are goals for the level below, and g its own goal. An action is
-    learned from as the goals that its call did reach, whatever goal was named (hindsight actions); again under goals
-    that the level reached later (hindsight goals); and as worth -H where it was put to the test and missed (subgoal
-    tests), from where nothing follows. The highest level pursues the goal that the episode asks for, by default its
-    end. Rewards of the environment are not looked at.
+    The actions a of a level above the primitives are goals for the level below, and g is its own goal. An action is
+    learned as the goals that its call reached, for any goal that was set (hindsight actions). It is also learned for
+    goals that the level reached later (hindsight goals), and as worth -H without continuation if it was tested and
+    missed (subgoal tests). The highest level pursues the goal of the episode, by default its end. Rewards of the
+    environment are ignored.
 
     Args:
-        goal_space: absolute goals; by default those that `make_goal_space` finds in the observation space.
+        goal_space: absolute goals; by default the result of `make_goal_space` for the observation space.
     """
 
     Settings = HacSettings
@@ -93,7 +93,7 @@ class Hac(CallRunner):
     EPISODE_STATE = (*CallRunner.EPISODE_STATE, "calls", "tested")
     STATE = ("tables", Kept("_calls"), Kept("_tested"), "_action_rng")
     _calls: dict[str, list[list[Any]]]
-    """Choices of each level's running call: s, actions in hindsight, s', goals reached there, what is legal there,
+    """Choices of each level's running call: s, actions in hindsight, s', goals reached there, legal choices there, and
     whether the episode terminated."""
     _tested: int
     """Depth of the call whose subgoal is being tested; 0 for none."""
@@ -115,14 +115,14 @@ class Hac(CallRunner):
         self._action_rng = make_rng(seed, "actions")
 
     def begin_episode(self) -> None:
-        """Nothing runs, and nothing is tested."""
+        """Clear the running calls and tests."""
         super().begin_episode()
         self._calls, self._tested = {name: [] for name in self.hierarchy.tasks}, 0
 
     # --- acting --------------------------------------------------------------------------
 
     def compute_choice_values(self, level: str, view: Any, goal: int) -> NDArray[np.float64]:
-        """Q_i(s, .; g) of a level, (choices,)."""
+        """Return Q_i(s, .; g) of a level, (choices,)."""
         return self.tables[level].get_values(self._make_key(self._find_cell(view), goal))
 
     def _make_key(self, cell: NDArray[np.int32], goal: int) -> bytes:
@@ -134,7 +134,7 @@ class Hac(CallRunner):
         return END if self.space.find_desired is None else self.space.find_desired(seen.observation)
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """Greedy below a test, else also uniform; a level above the primitives may put its subgoal to the test."""
+        """Choose greedily below a test, otherwise sometimes uniformly; levels above the primitives may begin a test."""
         depth = len(stack)
         if depth <= self._tested:
             self._tested = 0
@@ -147,14 +147,14 @@ class Hac(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best choice towards the level's goal, drawn among equals."""
+        """Return the best choice towards the level's goal, ties at random."""
         frame = stack[-1]
         return choose_best(self.compute_choice_values(frame.task.name, view, self._find_goal(frame, seen)), legal, rng)
 
     # --- learning ------------------------------------------------------------------------
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Note each level's choice that came back, and learn from the calls that are over."""
+        """Record each level's finished choice, and learn from finished calls."""
         error = 0.0
         reached = self.space.list_reached(step.next_seen.observation)
         for returned in returns:
@@ -173,7 +173,7 @@ class Hac(CallRunner):
         return {"td_error": error} if returns else {}
 
     def _learn_call(self, name: str, goal: int) -> float:
-        """Learn from a call that is over, its last choice first, under its goal and others; returns the last error."""
+        """Learn from a finished call, last choice first, for its goal and others; return the last error."""
         call, error = self._calls[name], 0.0
         for index in range(len(call) - 1, -1, -1):
             error = self._back_up(name, call[index], goal)

@@ -1,8 +1,8 @@
 """HAMQ: Q-learning at the choice points of a partial program.
 
-Parr and Russell (1998). The program fixes what its author knows; learning fills in its choices. Run in an
-environment it is an SMDP whose states are pairs of observation and machine state, the whole stack of running
-machines included. `internal` looks up choices that no primitive separates, as in Bai and Russell (2017).
+Parr and Russell (1998). The program fixes what its author knows, and learning fills in its choices. In an environment
+it is an SMDP whose states are pairs of observation and machine state, including the whole stack of running machines.
+`internal` looks up choices that no primitive separates, as in Bai and Russell (2017).
 """
 
 from __future__ import annotations
@@ -51,54 +51,55 @@ from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
 MOST_INTERNAL = 10_000
-"""Bound on choices without a primitive between them; more is a program that never acts."""
+"""Bound on choices without a primitive between them; more means a program that never acts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class HamqSettings(AgentSettings):
-    """Rates, exploration and discount of `hamq`, and whether choices without a primitive between share a value."""
+    """Settings of `hamq`: step sizes, exploration, discount, and values of choices without a primitive between them."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     internal: bool = False
-    """Remember which choice point follows a choice that no primitive comes after, and use its value in place of an own
+    """Store which choice point follows a choice without a primitive in between, and use its value instead of a separate
     one (HAMQ-INT)."""
 
 
 @machine
 def flat_machine(seen: Callable[[], Seen]) -> Any:
-    """The program that leaves everything open: any legal primitive, for ever."""
+    """Program that leaves everything open: any legal primitive, forever."""
     while True:
         yield do((yield choose([int(action) for action in seen().mask.nonzero()[0]])))
 
 
 class _Point(NamedTuple):
-    """A choice point that was passed: its key, how many things could be chosen, and which one was."""
+    """A choice point that was passed: its key, its number of choices, and the chosen index."""
 
     key: Hashable
     choices: int
@@ -108,19 +109,19 @@ class _Point(NamedTuple):
 class Hamq(RowStreamAgent):
     """Values of the choices that a program leaves open.
 
-    At a choice point (s, m), where c was chosen, R was earned in k primitives, and (s', m') is the next one:
+    If c was chosen at a choice point (s, m), R was earned in k primitives, and (s', m') is the next choice point:
 
         Q(s, m, c) <- Q(s, m, c) + alpha [R + gamma^k max over c' of Q(s', m', c') - Q(s, m, c)]
 
-    R and k go on adding up through calls and returns. k may be 0 between choice points, and only there. A choice among
-    one thing is none. Where the episode terminated, or the program has returned, nothing follows; where it was cut
-    inside a choice, that choice learns nothing.
+    R and k accumulate across calls and returns. k is 0 only between choice points without a primitive in between.
+    Choice points with a single choice are skipped. If the episode terminated, or the program has returned, the next
+    value is 0. A choice that was cut inside is not learned.
 
     Args:
         program: a machine without arguments; by default one that leaves every primitive open, which is Q-learning.
-        see: what of a moment choices depend on; the whole observation by default.
-        read: makes `Seen.state` of an observation.
-        find_place: (machine, its arguments) -> x and y of its goal on the floor, m, for drawings; None without one.
+        see: part of a moment that choices depend on; by default the whole observation.
+        read: computes `Seen.state` from an observation.
+        find_place: (machine, its arguments) -> x and y of its goal on the floor, m, for drawings, or None without one.
     """
 
     Settings: ClassVar[type] = HamqSettings
@@ -155,7 +156,7 @@ class Hamq(RowStreamAgent):
         self._discretise = None if see is not None else make_discretiser(observation_space, settings, "hamq")
         self.table = ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
         self.successors: dict[Hashable, _Point] = {}
-        """(key, index) -> the choice point that follows without a primitive between."""
+        """(key, index) -> the choice point that follows without a primitive in between."""
         self._rng = make_rng(seed, "actions")
         self._steps = 0
         self._latest: MachineRun | None = None
@@ -163,17 +164,18 @@ class Hamq(RowStreamAgent):
         self.begin_episode()
 
     def begin_episode(self) -> None:
-        """Nothing runs: a new episode."""
+        """Clear the running program for a new episode."""
         self._run = MachineRun(self._program)
         self._told = 0
-        """Inputs told up to the last primitive; `act` goes on from there, however often it is asked."""
+        """Inputs of the program up to the last primitive. `act` continues from there, even if it is called
+        repeatedly."""
         self._passed: list[_Point] = []
         """Choice points since then."""
         self._open: _Point | None = None
         self._reward, self._discount, self._duration = 0.0, 1.0, 0
 
     def compute_choice_values(self, key: Hashable, count: int) -> NDArray[np.float64]:
-        """Q(s, m, .) at a choice point, (count,)."""
+        """Return Q(s, m, .) at a choice point, (count,)."""
         return np.array([self._compute_value(key, index) for index in range(count)])
 
     def _compute_value(self, key: Hashable, index: int) -> float:
@@ -187,7 +189,7 @@ class Hamq(RowStreamAgent):
         return freeze(view) if self._discretise is None else self._discretise(run.seen.observation), run.read_state()
 
     def _advance(self, run: MachineRun, seen: Seen, pick: Callable[[NDArray[np.float64]], int]) -> list[_Point]:
-        """Tell a run the moment and make its choices down to a primitive; returns the choice points passed."""
+        """Continue a run at the current moment to its next primitive; return the choice points passed."""
         run.tell(seen)
         passed: list[_Point] = []
         while isinstance(run.request, Choose):
@@ -205,7 +207,7 @@ class Hamq(RowStreamAgent):
 
     def advance_greedily(self, run: MachineRun, observation: Any, mask: NDArray[np.bool_],
                          rng: np.random.Generator | None) -> None:
-        """Tell a run the moment, and make its choices by value, drawn among equals; without `rng` the first."""
+        """Continue a run at the current moment by greedy choices; ties at random, or the first without `rng`."""
         self._advance(run, self._look(observation, mask),
                       lambda values: choose_best(values, np.ones(len(values), np.bool_), rng))
 
@@ -227,7 +229,7 @@ class Hamq(RowStreamAgent):
         return self._run.request.primitive
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Run the program of this evaluation, which belongs to `rng`, to its next primitive."""
+        """Run the program of this evaluation, which `rng` identifies, to its next primitive."""
         (run,) = self.recall(rng) or (MachineRun(self._program),)
         self._evaluation, self._latest = (rng, run), run
         self.advance_greedily(run, observation, action_mask, rng)
@@ -235,7 +237,7 @@ class Hamq(RowStreamAgent):
         return run.request.primitive
 
     def list_calls(self) -> tuple[RunningCall, ...]:
-        """Running machines behind the latest choice, the root first; none says beforehand when it will be over."""
+        """Return the running machines behind the latest choice, the root first; their remaining length is unknown."""
         return tuple(
             RunningCall(call.name, ", ".join(map(str, call.arguments)) or None, call.primitives, 0.0,
                         None if self._find_place is None else self._find_place(call.name, call.arguments))
@@ -243,9 +245,9 @@ class Hamq(RowStreamAgent):
         )
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Every call of a machine in which something was learned, run until it returns; else the whole program.
+        """Return every call of a machine with learned choices, run until it returns; or the whole program.
 
-        What a machine learned depends on who called it, so calls are named with their callers, as in
+        What a machine has learned depends on its callers. Calls are therefore named with their callers, as in
         `fetch > navigate(2)`.
         """
         machines = find_machines(self._program)
@@ -270,7 +272,7 @@ class Hamq(RowStreamAgent):
         return OptionPolicy(title, self, begin, can_start)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn at the choice points passed, and add the primitive to the choice that is open."""
+        """Learn at the choice points passed, and add the primitive to the open choice."""
         error = 0.0
         for point in self._passed:
             if self._open is not None:
@@ -294,7 +296,7 @@ class Hamq(RowStreamAgent):
         return abs(self.table.update((point.key, point.chosen), self._reward + self._discount * after))
 
     def _finish(self, transition: SMDPTransition) -> float:
-        """The backup of the choice that is open when the episode ends."""
+        """The backup of the open choice at the end of the episode."""
         if self._open is None:
             return 0.0
         if transition.terminated:
@@ -305,11 +307,11 @@ class Hamq(RowStreamAgent):
             if count > 1:
                 return self._learn(self._open, _Point(self._make_key(self._run), count, 0))
             self._run.tell(0)
-        return 0.0  # cut inside the choice: what would have followed is unknown
+        return 0.0  # cut inside the choice: the continuation is unknown
 
     @property
     def _told_inputs(self) -> list[Any]:
-        """Everything that the running program was told up to the last primitive."""
+        """All inputs of the running program up to the last primitive."""
         return self._list_inputs(self._run.inputs[: self._told])
 
     @_told_inputs.setter
@@ -320,7 +322,7 @@ class Hamq(RowStreamAgent):
 
     @property
     def _kept_choice(self) -> list[Any] | None:
-        """In streams, inputs and choice points of a primitive that has not come to its end yet."""
+        """With several environments, inputs and choice points of a primitive that has not ended yet."""
         if self._stream is None or len(self._run.inputs) == self._told:
             return None
         return [self._list_inputs(self._run.inputs[self._told :]), repr([tuple(point) for point in self._passed])]
@@ -338,7 +340,7 @@ class Hamq(RowStreamAgent):
 
     @property
     def _since(self) -> list[Any]:
-        """R, gamma^k and k since the choice that is open."""
+        """R, gamma^k and k since the open choice."""
         return [self._reward, self._discount, self._duration]
 
     @_since.setter
@@ -347,12 +349,12 @@ class Hamq(RowStreamAgent):
 
 
 class _CallRun:
-    """One call of a machine by itself, run by value until it returns."""
+    """One call of a machine, run greedily until it returns."""
 
     def __init__(self, agent: Hamq, run: MachineRun) -> None:
         self._agent, self._run = agent, run
         self._is_told = False
-        """The run knows the present moment, and waits for its primitive to be done."""
+        """Whether the run has received the current moment and waits for its primitive."""
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         self.compute_termination(observation, action_mask)

@@ -1,7 +1,7 @@
-"""HDG: distances to goals, learned for all near ones at once, and by way of landmarks for those far away.
+"""HDG: distances to goals, learned for all near goals at once, and by way of landmarks for distant ones.
 
-Kaelbling (1993), Hierarchical learning in stochastic domains. Every primitive teaches how far the
-state is from every goal that is kept there, so that it reaches goals it was never sent to.
+Kaelbling (1993), Hierarchical learning in stochastic domains. Every primitive updates the distances to all goals that
+are stored at its state, and the agent can therefore reach goals that it never pursued.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True)
 class Landmarks:
-    """States that stand for the region around them."""
+    """States that represent the region around them."""
 
-    states: tuple[Hashable, ...]  # the landmarks' states
-    region: Callable[[Hashable], int]  # state -> number of the landmark whose region it lies in
+    states: tuple[Hashable, ...]  # states of the landmarks
+    region: Callable[[Hashable], int]  # state -> index of the landmark of its region
     state: Callable[[Any], Hashable] = int  # observation -> state; the observation itself by default
 
     def __post_init__(self) -> None:
@@ -46,54 +46,54 @@ class Landmarks:
 
 @dataclass(frozen=True, kw_only=True)
 class HdgSettings(AgentSettings):
-    """Rates of distances in `hdg`, aims on far ways, and the rounding of states where no landmarks are given."""
+    """Settings of `hdg`: step sizes of distances, targets on long ways, and rounding of states without landmarks."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive of what is logged; distances are counted in primitives, without discount."""
+    """Discount per primitive of logged returns; distances are in primitives, without discount."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha of a distance; 1 suits deterministic environments."""
+    """Step size of a distance. 1 suits deterministic environments; smaller values average noise."""
     neighbours: bool = True
-    """Aim straight at a goal in a neighbouring region too, not in the own region alone. Without it, walks whose best
-    way crosses a border turn back at it for ever."""
+    """Also aim directly at goals in neighbouring regions, not only in the current one. Without it, walks whose best way
+    crosses a border turn back at it forever."""
     next_landmark: Literal["from-state", "from-landmark"] = "from-state"
-    """The landmark to aim at on the way to a far region: the next on the shortest way from the state, or, as in the
-    paper, on that from the landmark of the state's region, whichever side of it the state lies."""
+    """Next landmark on the way to a distant region: on the shortest way from the state or, as in the paper, from the
+    landmark of the state's region."""
     dead_end: Annotated[float, Range(0)] = 1_000.0
-    """Primitives that the end of an episode counts as on the way to another state."""
+    """Distance in primitives that the end of an episode adds on the way to another state."""
     most_states: Annotated[int, Range(1)] = 4_000
-    """Bound on states met; memory grows with its square."""
+    """Most states; memory grows with its square."""
 
 
 class Hdg(RowStreamAgent):
-    """Distances D from each state, by action, to the goals kept there: near ones and all landmarks.
+    """Distances D from each state, by action, to the goals stored there: near ones and all landmarks.
 
-    After a from s to s' in k primitives, for every goal g that s keeps, those in its region and in neighbouring ones:
+    After a from s to s' in k primitives, for every goal g of s, which are those in its region and neighbouring ones:
 
         D(s, a, g) <- D(s, a, g) + alpha [k + [s' is not g] d(s', g) - D(s, a, g)]
-        d(s', g)    = min over a' of D(s', a', g)              where s' keeps g
-                      d(s', l) + d(l, g), l the landmark of g  else
+        d(s', g)    = min over a' of D(s', a', g)              if s' stores g
+                      d(s', l) + d(l, g), l the landmark of g  otherwise
 
-    Minima are over the actions that were ever legal in a state, over all where it was never left. Where the episode
-    ended in another state than g, `dead_end` stands for d(s', g). It acts by D(s, ., g), drawn among equals, where the
-    goal's region is its own or a neighbouring one, else by D(s, ., l') for the next landmark l' on the shortest way
-    over landmarks (Floyd and Warshall, over edges between neighbouring regions), see `next_landmark`.
-    Everything begins at 0, which is optimistic, so that what was never tried is tried.
+    Minima are over the actions that were ever legal in a state, or over all actions of a state that was never left. If
+    the episode ended in another state than g, `dead_end` replaces d(s', g). The agent acts by D(s, ., g), ties at
+    random, if the goal's region is its own or a neighbouring one. Otherwise it acts by D(s, ., l') for the next
+    landmark l' on the shortest way over landmarks (Floyd and Warshall, over edges between neighbouring regions), see
+    `next_landmark`. All distances begin at 0, which is optimistic and makes the agent try everything.
 
     Args:
-        observation_space: of the environment, for states where no landmarks are given.
-        landmarks: the division; by default all is one region.
-        goal: observation -> state to go to; by default the nearest of those in which episodes have terminated.
+        observation_space: observation space, for states without landmarks.
+        landmarks: landmarks and their regions; by default a single region.
+        goal: observation -> goal state; by default the nearest state where an episode has terminated.
     """
 
     Settings: ClassVar[type] = HdgSettings
@@ -115,23 +115,23 @@ class Hdg(RowStreamAgent):
         self._numbers: dict[Hashable, int] = {}
         self._regions = np.zeros(0, np.int64)
         self.distances = np.zeros((0, 0, self._actions))
-        """(states, goals, actions), by number of the state met."""
+        """Distances (states, goals, actions), by number of the state."""
         self._legal = np.zeros((0, self._actions), np.bool_)
-        """(states, actions), what was ever legal; nothing in a state that was never left."""
+        """Actions that were ever legal, (states, actions); none in a state that was never left."""
         self._terminal: list[int] = []
         count = 1 if self._landmarks is None else len(self._landmarks.states)
         self._borders = np.eye(count, dtype=np.bool_)
-        """(regions, regions): neighbours, or the same."""
+        """Whether regions are neighbours or equal, (regions, regions)."""
         for state in () if self._landmarks is None else self._landmarks.states:
             self.number(state)
 
     def number(self, state: Hashable) -> int:
-        """Number of a state, a new one at the first meeting; landmarks have the first ones."""
+        """Return the number of a state, a new one at its first visit; landmarks have the first numbers."""
         state = freeze(state)
         if state not in self._numbers:
             number = len(self._numbers)
             if number >= self.settings.most_states:
-                raise UnsupportedError(f"hdg met more than {number} states; raise `most_states` or give landmarks a "
+                raise UnsupportedError(f"hdg met more than {number} states. Raise `most_states`, or give landmarks a "
                                        "coarser `state`")  # fmt: skip
             if number == len(self.distances):
                 more = max(64, 2 * number) - number
@@ -142,19 +142,19 @@ class Hdg(RowStreamAgent):
         return self._numbers[state]
 
     def _keeps(self, state: int) -> NDArray[np.bool_]:
-        """Goals kept at a state, (states met,)."""
+        """Goals stored at a state, (states met,)."""
         met = len(self._numbers)
         kept = self._borders[self._regions[state], self._regions[:met]]
         kept[: 0 if self._landmarks is None else len(self._landmarks.states)] = True
         return kept
 
     def _minimise(self, states: Any, ends: Any) -> NDArray[np.float64]:
-        """Minimum of D over the legal actions, of states and goals whose numbers broadcast."""
+        """Minimum of D over the legal actions, for state and goal numbers that broadcast."""
         legal = self._legal[states]
         return np.where(legal | ~legal.any(axis=-1, keepdims=True), self.distances[states, ends], np.inf).min(axis=-1)
 
     def _estimate(self, state: int) -> NDArray[np.float64]:
-        """d(s, g) of every state met, (states met,); over the goal's landmark where it is not kept."""
+        """d(s, g) of every state met, (states met,); over the goal's landmark if it is not stored."""
         goals = np.arange(len(self._numbers))
         estimate = self._minimise(state, goals)
         if self._landmarks is not None:
@@ -165,7 +165,7 @@ class Hdg(RowStreamAgent):
         return estimate
 
     def compute_ways(self) -> NDArray[np.float64]:
-        """Shortest lengths over landmarks, (regions, regions)."""
+        """Return the shortest lengths over landmarks, (regions, regions)."""
         regions = np.arange(len(self._borders))
         ways = np.where(self._borders, self._minimise(regions[:, None], regions), np.inf)
         np.fill_diagonal(ways, 0.0)
@@ -174,7 +174,7 @@ class Hdg(RowStreamAgent):
         return ways
 
     def choose_target(self, state: int, goal: int) -> int:
-        """The state to aim at: the goal, or the next landmark on the way to it."""
+        """Return the state to aim at: the goal, or the next landmark on the way to it."""
         here, there = int(self._regions[state]), int(self._regions[goal])
         if here == there or (self.settings.neighbours and self._borders[here, there]) or self._landmarks is None:
             return goal
@@ -199,23 +199,23 @@ class Hdg(RowStreamAgent):
         return self.choose_towards(state, goal, mask, rng)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Epsilon-greedy; at random before a goal is known."""
+        """Return an epsilon-greedy action; a random one before a goal is known."""
         if self._rng.random() < compute_epsilon(self.settings, self._steps):
             return sample_legal(action_mask, self._rng)
         return self._choose(observation, action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The way that is held for the shortest."""
+        """Return an action on the estimated shortest way."""
         return self._choose(observation, action_mask, rng)
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """The way to each landmark; without landmarks, the whole policy."""
+        """Return the way to each landmark; without landmarks, the whole policy."""
         if self._landmarks is None:
             return super().get_options()
         return tuple(self._export(number) for number in range(len(self._landmarks.states)))
 
     def _export(self, landmark: int) -> OptionPolicy:
-        """The way to one landmark: from states that were met, until it is reached."""
+        """The way to one landmark, from visited states until it is reached."""
 
         def act(observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
             state = self.find_number(observation)
@@ -228,16 +228,16 @@ class Hdg(RowStreamAgent):
         return OptionPolicy(f"landmark {landmark}", self, lambda: run, can_start, is_markov=True)
 
     def find_number(self, observation: Any) -> int | None:
-        """Number of an observation's state; None where it was never met."""
+        """Return the number of an observation's state, or None if it is new."""
         return self._numbers.get(freeze(self._find_state(observation)))
 
     def choose_towards(self, state: int, goal: int, mask: NDArray[np.bool_],
                        rng: np.random.Generator | None = None) -> int:
-        """The primitive that is held for the shortest way to a goal, drawn among equals; without `rng` the first."""
+        """Return the primitive on the estimated shortest way to a goal; ties at random, the first without `rng`."""
         return choose_best(-self.distances[state, self.choose_target(state, goal)], mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """One backup for every goal kept."""
+        """Make one backup for every stored goal."""
         before = self.number(self._find_state(transition.observation))
         after = self.number(self._find_state(transition.next_observation))
         self._legal[before] |= transition.action_mask
@@ -259,7 +259,7 @@ class Hdg(RowStreamAgent):
         return {"distance_error": float(np.abs(error).max()), "states": len(self._numbers)}
 
     def state_dict(self) -> StateTree:
-        """States met, distances, borders, terminal states, counter, generator."""
+        """Return states, distances, borders, terminal states, counter and generator."""
         met = len(self._numbers)
         return {
             "states": [repr(state) for state in self._numbers],
@@ -273,7 +273,7 @@ class Hdg(RowStreamAgent):
         }
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
+        """Restore the result of `state_dict`."""
         self._begin()
         for each in state["states"]:
             self.number(ast.literal_eval(each))

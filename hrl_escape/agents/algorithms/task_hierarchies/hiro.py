@@ -1,7 +1,7 @@
-"""HIRO: a manager that names displacements, and learns from old ones as what they would have to be called today.
+"""HIRO: a manager that sets displacements as goals, and relabels old goals to match what the worker does today.
 
 Nachum, Gu, Lee and Levine (2018), with finitely many displacements and primitives: values are tables, and the worker's
-policy is the softmax of its values, so that logged primitives have likelihoods.
+policy is the softmax of its values, which gives logged primitives a likelihood.
 """
 
 from __future__ import annotations
@@ -34,34 +34,35 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class HiroSettings(AgentSettings):
-    """Settings of `hiro`; epsilon is the manager's, and the worker explores by its softmax."""
+    """Settings of `hiro`; epsilon applies to the manager, and the worker explores by its softmax."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     window: Annotated[int, Range(1)] = 10
-    """c, primitives for which a goal holds."""
+    """c, number of primitives of a goal. Longer windows leave fewer, longer decisions to the manager."""
     worker_gamma: Annotated[float, Range(0, 1)] = 0.95
-    """Discount per primitive of the worker, whose reward is minus the distance left."""
+    """Discount per primitive of the worker, whose reward is minus the remaining distance."""
     temperature: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Temperature of the worker's softmax, in units of distance."""
+    """Temperature of the worker's softmax, in units of distance. More explores more."""
     correction: bool = True
-    """Call old goals what makes their primitives likeliest today; otherwise they keep their names."""
+    """Relabel old goals with the goal that makes their primitives likeliest today; otherwise goals stay as they
+    were."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size of the tables."""
+    """Step size of the tables. Smaller values average noise."""
     replay_capacity: Annotated[int, Range(1)] = 2_000
     """Decisions of the manager kept for replay."""
     batch_size: Annotated[int, Range(1)] = 8
@@ -69,17 +70,17 @@ class HiroSettings(AgentSettings):
 
 
 class Window(NamedTuple):
-    """A decision of the manager, and the primitives under it."""
+    """A decision of the manager, with its primitives."""
 
-    before: NDArray[np.int32]  # cells of the view in which the goal was named
-    legal: NDArray[np.bool_]  # goals that might be named there, (goals,)
-    goal: int  # its number
+    before: NDArray[np.int32]  # cells of the view at the beginning
+    legal: NDArray[np.bool_]  # legal goals at the beginning, (goals,)
+    goal: int  # index of the goal
     reward: float  # sum of gamma^i r_i
-    bootstrap: float  # gamma^k, 0 where nothing follows
-    after: NDArray[np.int32]  # cells where it ended
+    bootstrap: float  # gamma^k, 0 if the episode terminated
+    after: NDArray[np.int32]  # cells at the end
     next_legal: NDArray[np.bool_]
-    cells: NDArray[np.int32]  # (k, ...), where each primitive was chosen: not where the window ended
-    points: NDArray[np.float64]  # (k + 1, dimensions), projections of these, and of where the window ended
+    cells: NDArray[np.int32]  # (k, ...), cells at each primitive, without the end of the window
+    points: NDArray[np.float64]  # (k + 1, dimensions), projections of these and of the end
     masks: NDArray[np.bool_]  # (k, primitives)
     actions: NDArray[np.int64]  # (k,)
 
@@ -89,31 +90,31 @@ def _make_key(cell: NDArray[np.int32], goal: NDArray[np.float64]) -> bytes:
 
 
 class Pursuit(GoalTask):
-    """Goes for a goal for a number of primitives, told at each what is left of it; paid minus the distance left."""
+    """Pursues a goal for a number of primitives and sees the remaining part; reward is minus the remaining distance."""
 
     def __init__(self, space: GoalSpace, primitives: int, window: int) -> None:
         super().__init__("worker", space, primitives)
         self._window = window
 
     def tell(self, frame: Frame, seen: Seen) -> NDArray[np.float64]:
-        """The call's goal, advanced to a moment."""
+        """Return the call's goal, advanced to a moment."""
         return self.goal_space.advance(self.goal_space.goals[frame.context], frame.start.observation, seen.observation)
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Certain when the window is over."""
+        """Return 1 when the window is over."""
         return float(frame.primitives >= self._window)
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """Minus the distance left after the primitive."""
+        """Return minus the remaining distance after the primitive."""
         seen = step.next_seen
         return -step.arrival * float(self.goal_space.measure(self.tell(frame, seen), seen.observation))
 
 
 class Naming(GoalTask):
-    """Names a goal for every window; paid by the environment."""
+    """Sets a goal for every window; its reward is the environment's."""
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Goals that are not reached here; all where every one is."""
+        """Return goals that are not reached in this state, or all if every goal is reached."""
         open_goals = ~self.goal_space.list_reached(seen.observation)
         return open_goals if open_goals.any() else ~open_goals
 
@@ -125,23 +126,23 @@ class Hiro(CallRunner):
         manager: Q2(s, g~) <- R + gamma^k max over g' of Q2(s', g'),
                  g~ = argmax over goals of sum over i of log pi(a_i | s_i, g_i),  g_(i+1) = h(s_i, g_i, s_(i+1))
 
-    pi is the softmax of Q1 over legal primitives. The sum runs over the states in which primitives were chosen, along
-    the logged way; the goal that was named wins a tie. The paper draws ten candidates, here every goal is one.
+    pi is the softmax of Q1 over legal primitives. The sum is over the states in which primitives were chosen; the goal
+    that was set wins ties. The paper draws ten candidates; here every goal is one.
 
     Args:
-        goal_space: by default that of `make_goal_space`, whose goals are absolute.
+        goal_space: the goals; by default the result of `make_goal_space`, with absolute goals.
     """
 
     Settings = HiroSettings
     names_displacements = True
-    """In a room it is given displacements on the floor, in place of events."""
+    """In rooms its goals are displacements on the floor, instead of events."""
     STATE = ("tables", Kept("_replay", pack=lambda kept: [each._asdict() for each in kept],
                             unpack=lambda saved: [Window(**fields) for fields in saved]),
              "_added", Kept("_way"), "_steps", "_action_rng")
     EPISODE = (*CallRunner.EPISODE, "_way")
     EPISODE_STATE = (*CallRunner.EPISODE_STATE, "way")
     _way: list[list[Any]]
-    """Cells, point, mask and primitive of each primitive in the window that runs."""
+    """Cells, point, mask and primitive of each primitive in the running window."""
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None, goal_space: GoalSpace | None = None) -> None:
@@ -159,34 +160,34 @@ class Hiro(CallRunner):
         self._added, self._steps, self._action_rng = 0, 0, make_rng(seed, "actions")
 
     def begin_episode(self) -> None:
-        """No window runs."""
+        """Clear the running window."""
         super().begin_episode()
         self._way = []
 
     @property
     def latest(self) -> Window:
-        """The decision that the manager came back from last."""
+        """The manager's last finished decision."""
         return self._replay[(self._added - 1) % self.settings.replay_capacity]
 
     # --- acting --------------------------------------------------------------------------
 
     def compute_worker_values(self, cell: NDArray[np.int32], goal: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Q1(s, .; g), g as told at s, (primitives,); of several goals, (goals, primitives)."""
+        """Return Q1(s, .; g), g relative to s, (primitives,); for several goals, (goals, primitives)."""
         if goal.ndim > 1:
             return np.array([self.compute_worker_values(cell, each) for each in goal])
         return self.tables["worker"].get_values(_make_key(cell, goal))
 
     def compute_worker_policy(self, cell: NDArray[np.int32], goal: NDArray[np.float64], mask: NDArray[np.bool_]
                               ) -> NDArray[np.float64]:
-        """The softmax of Q1 over legal primitives, as `compute_worker_values`."""
+        """Return the softmax of Q1 over legal primitives, as in `compute_worker_values`."""
         return compute_softmax(mask_values(self.compute_worker_values(cell, goal) / self.settings.temperature, mask))
 
     def find_allowed(self, seen: Seen, legal: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Goals that the manager considers, of those legal; (goals,)."""
+        """Return the goals that the manager considers among legal ones, (goals,)."""
         return legal
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """The manager epsilon-greedy, the worker by its softmax."""
+        """Choose epsilon-greedily for the manager, by softmax for the worker."""
         cell, frame = self._find_cell(view), stack[-1]
         if frame.task is self._worker:
             policy = self.compute_worker_policy(cell, self._worker.tell(frame, seen), legal)
@@ -198,7 +199,7 @@ class Hiro(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best goal, the best primitive towards it."""
+        """Return the best goal, or the best primitive towards it."""
         cell, frame = self._find_cell(view), stack[-1]
         if frame.task is self._worker:
             return choose_best(self.compute_worker_values(cell, self._worker.tell(frame, seen)), legal, rng)
@@ -207,7 +208,7 @@ class Hiro(CallRunner):
     # --- learning ------------------------------------------------------------------------
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn of the primitive; of the manager's decision once its window is over, and of others from replay."""
+        """Learn from the primitive, from the manager's decision after its window, and from replayed decisions."""
         metrics: dict[str, float] = {}
         for returned in returns:
             if returned.frame.task is self._worker:
@@ -226,17 +227,17 @@ class Hiro(CallRunner):
         goal, left = self._worker.tell(frame, step.seen), self._worker.tell(frame, returned.seen)
         self._way.append([cell, self.space.project(step.seen.observation), decision.legal, decision.choice])
         target, legal = decision.reward, returned.seen.mask
-        if not returned.terminated:  # the window's end is none in the worker's eyes
+        if not returned.terminated:  # for the worker, the end of the window is not terminal
             target += self.settings.worker_gamma**decision.duration * float(
                 self.compute_worker_values(after, left)[legal].max())
         return abs(self.tables["worker"].update(_make_key(cell, goal), decision.choice, target))
 
     def get_gamma(self, task: BaseTask) -> float:
-        """The worker's discount, or the manager's."""
+        """Return the worker's discount, or the manager's."""
         return self.settings.worker_gamma if task is self._worker else self.gamma
 
     def store(self, returned: Return) -> None:
-        """Keep the manager's decision, over the oldest when replay is full; a window cut by a time limit counts."""
+        """Store the manager's decision, replacing the oldest if replay is full; truncated windows count."""
         decision: Decision = returned.decision
         seen, task = returned.seen, returned.frame.task
         cells, points, masks, actions = zip(*self._way, strict=True)
@@ -251,7 +252,7 @@ class Hiro(CallRunner):
         self._added, self._way = self._added + 1, []
 
     def compute_likelihoods(self, window: Window) -> NDArray[np.float64]:
-        """Sum over the window of log pi(a_i | s_i, g_i), for each goal named at its start, (goals,)."""
+        """Return the sum over the window of log pi(a_i | s_i, g_i) for each goal at its beginning, (goals,)."""
         total = np.zeros(len(self.space.goals))
         chosen_in = zip(window.cells, window.points[:-1], window.masks, window.actions, strict=True)
         for cell, point, mask, action in chosen_in:
@@ -261,7 +262,7 @@ class Hiro(CallRunner):
         return total
 
     def relabel(self, window: Window) -> int:
-        """Goal under which a window is learned from today."""
+        """Return the goal that a window is learned with today."""
         if not self.settings.correction:
             return window.goal
         likely = np.where(window.legal, self.compute_likelihoods(window), -np.inf)

@@ -1,7 +1,8 @@
-"""HQ-learning: a fixed sequence of reactive agents, each handing over at a subgoal that it learns to choose.
+"""HQ-learning: a fixed sequence of reactive agents; each hands over at a subgoal that it learns to choose.
 
-Wiering and Schmidhuber (1997), HQ-learning, Adaptive Behavior 6. Where observations alias, one reactive
-policy is not enough; which agent acts is the only memory. A museum piece: its page says what does not reproduce.
+Wiering and Schmidhuber (1997), HQ-learning, Adaptive Behavior 6. One reactive policy is not enough if observations
+alias; the index of the active agent is the only memory. The page of this historical algorithm lists what does not
+reproduce.
 """
 
 from __future__ import annotations
@@ -30,35 +31,35 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class HqLearningSettings(AgentSettings):
-    """Settings of `hq-learning`; defaults are those of the paper's key-and-door maze."""
+    """Settings of `hq-learning`; defaults follow the paper's key-and-door maze."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     epsilon_start: Annotated[float, Range(0, 1)] = 0.6
-    """Epsilon at the beginning; the paper's p_max is 1 - epsilon."""
+    """Epsilon at the beginning; p_max in the paper is 1 - epsilon."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.2
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 100_000
-    """Primitives over which epsilon falls linearly."""
+    """Number of primitives of the linear decrease of epsilon. More explores for longer."""
     agents: Annotated[int, Range(1)] = 3
-    """Reactive agents in the sequence."""
+    """Number of reactive agents in the sequence."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
-    """Step size of values of primitives."""
+    """Step size of values of primitives. Smaller values average noise."""
     subgoal_learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
-    """Step size of values of subgoals."""
+    """Step size of values of subgoals. Smaller values average noise."""
     trace: Annotated[float, Range(0, 1)] = 0.9
-    """Lambda of the returns of both."""
+    """Lambda of the returns of primitives and subgoals. More carries rewards back faster, with more variance."""
     temperature: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Temperature of the Boltzmann draws, which replace the best primitive with probability epsilon."""
+    """Temperature of Boltzmann draws, which replace the best primitive with probability epsilon. More explores more."""
 
 
 class _Acted(NamedTuple):
-    """One decision of the running trial, and V of the agent there, over what was legal; tables rest until its end."""
+    """One decision of the running trial, and the agent's V over legal primitives; tables change at its end only."""
 
     agent: int
     key: bytes
@@ -69,7 +70,7 @@ class _Acted(NamedTuple):
 
 
 class _Turn(NamedTuple):
-    """An agent's turn: which agent, and its subgoal; None for the last agent, and before any observation was met."""
+    """An agent's turn: its index, and its subgoal, or None for the last agent, and before the first observation."""
 
     agent: int
     subgoal: bytes | None
@@ -79,18 +80,18 @@ class HqLearning(RowStreamAgent):
     """Values of primitives by agent and observation, and of subgoals by agent.
 
     Agent i acts until it observes its subgoal g_i after at least one primitive; then i + 1 takes over, and the last one
-    acts to the end. A trial is learned from when it is over, backwards, with V_j of the agent j that acts next:
+    acts to the end. A trial is learned backwards at its end, with V_j of the agent j that acts next:
 
         T_t = r_t + gamma [(1 - lambda) V_j(o_{t+1}) + lambda T_{t+1}],   Q_i(o_t, a_t) <- Q_i + alpha [T_t - Q_i]
 
-    where V is the largest value of what was legal. With R_i what i earned in its turn of n_i primitives, W_i the
+    where V is the largest value of legal primitives. With R_i the return of i in its turn of n_i primitives, W_i the
     largest HQ_i:
 
         H_i = R_i + gamma^n_i [(1 - lambda) W_{i+1} + lambda H_{i+1}],    HQ_i(g_i) <- HQ_i + beta [H_i - HQ_i]
 
-    Where i + 1 is the last agent, H_i = R_i + gamma^n_i R_{i+1}; where i never handed over, H_i = R_i. A trial that
-    the time limit cut bootstraps Q, not HQ: not to have handed over in time counts as failure, as in the paper.
-    Subgoals are chosen among the observations met so far.
+    If i + 1 is the last agent, H_i = R_i + gamma^n_i R_{i+1}; if i never handed over, H_i = R_i. A truncated trial
+    bootstraps Q but not HQ: not handing over in time counts as failure, as in the paper. Subgoals are chosen among the
+    observations met so far.
     """
 
     Settings: ClassVar[type] = HqLearningSettings
@@ -119,7 +120,7 @@ class HqLearning(RowStreamAgent):
         self.begin_episode()
 
     def begin_episode(self) -> None:
-        """Nothing runs: a new trial."""
+        """Clear the running trial."""
         self._trial: list[_Acted] = []
         self._turns: list[tuple[_Turn, int]] = []
         """Turns of this trial, each with the number of decisions before it."""
@@ -130,15 +131,15 @@ class HqLearning(RowStreamAgent):
 
     @property
     def last(self) -> int:
-        """Number of the last agent, which has no subgoal."""
+        """Index of the last agent, which has no subgoal."""
         return self.settings.agents - 1
 
     def compute_subgoal_values(self, agent: int) -> NDArray[np.float64]:
-        """HQ of an agent, (observations met,)."""
+        """Return HQ of an agent, (observations met,)."""
         return np.array([self.subgoals.get((agent, key)) for key in self._met])
 
     def _take_over(self, agent: int, rng: np.random.Generator, explores: bool = True) -> _Turn:
-        """Begin an agent's turn, with the best subgoal, drawn among equals, or in exploration sometimes any."""
+        """Begin an agent's turn, with the best subgoal (ties at random), or a random one in exploration."""
         if agent == self.last or not self._met:
             return _Turn(agent, None)
         if explores and rng.random() < compute_epsilon(self.settings, self._steps):
@@ -149,7 +150,7 @@ class HqLearning(RowStreamAgent):
     # --- the agent --------------------------------------------------------------------
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """The agent's best primitive, any among equals; with probability epsilon a Boltzmann draw."""
+        """Return the agent's best primitive, ties at random; with probability epsilon a Boltzmann draw."""
         key = self._discretise(observation)
         if self._turn is None:
             self._meet(key)
@@ -161,7 +162,7 @@ class HqLearning(RowStreamAgent):
         return sample_index(np.exp(scaled - scaled.max()), self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The best primitive of the agent whose turn it is in the evaluation that belongs to `rng`."""
+        """Return the best primitive of the active agent in the evaluation that `rng` identifies."""
         key = self._discretise(observation)
         (turn,) = self.recall(rng) or (None,)
         if turn is None or key == turn.subgoal:
@@ -170,7 +171,7 @@ class HqLearning(RowStreamAgent):
         return choose_best(self.tables[turn.agent].get_values(key), action_mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Note a decision, hand over at the subgoal, and learn at the end of the trial."""
+        """Record a decision, hand over at the subgoal, and learn at the end of the trial."""
         turn = self._turn
         assert turn is not None
         key, after = self._discretise(transition.observation), self._discretise(transition.next_observation)
@@ -191,7 +192,7 @@ class HqLearning(RowStreamAgent):
             self._met.append(key)
 
     def _learn(self, after: bytes, transition: SMDPTransition) -> float:
-        """Learn from the trial that is over; returns the largest error of a primitive's value."""
+        """Learn from the finished trial; return the largest error of a primitive's value."""
         legal = transition.next_action_mask
         values = self.tables[self._trial[-1].agent].get_values(after)
         followed = value = 0.0 if transition.terminated else float(np.where(legal, values, -np.inf).max())

@@ -1,7 +1,7 @@
-"""HRAC: `hiro` whose manager names no goal farther than the worker can go in one window.
+"""HRAC: `hiro` whose manager only sets goals that the worker can reach in one window.
 
-Zhang, Guo, Tan, Hu and Chen (2020). Their manager is penalised for goals that a network, distilled from a matrix of
-what was seen together, takes for far; here the matrix itself leaves them out, or the true number of primitives does.
+Zhang, Guo, Tan, Hu and Chen (2020). Their manager has a penalty for goals that are distant according to a network,
+distilled from a matrix of observed adjacency. Here that matrix, or the true number of primitives, excludes them.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ CountSteps = Callable[[GoalPoint, GoalPoint], NDArray[np.float64]]
 class Hrac(Hiro):
     """`hiro` over goals whose points are adjacent: at most c primitives away.
 
-    Learned adjacency holds the pairs of points (p, p') of which p' was seen within c primitives after p, all of them in
-    one window. Where no goal is known to be adjacent, all may be named.
+    Learned adjacency holds the pairs of points (p, p') such that p' was seen within c primitives after p in one window.
+    If no goal is known to be adjacent, all are allowed.
 
     Args:
         goal_space: as for `hiro`.
@@ -44,19 +44,19 @@ class Hrac(Hiro):
         self._adjacent: set[bytes] = set()
 
     def find_adjacent(self, point: GoalPoint, targets: GoalPoint) -> NDArray[np.bool_]:
-        """Mask of the points (count, dimensions) that are held to be within a window of a point, (count,)."""
+        """Return which points (count, dimensions) are estimated to be within a window of a point, bool (count,)."""
         if self._count_steps is not None:
             return self._count_steps(point, targets) <= self.settings.window
         return np.array([_make_pair(point, target) in self._adjacent for target in targets])
 
     def find_allowed(self, seen: Seen, legal: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Legal goals that are adjacent; all legal ones where none is."""
+        """Return legal goals that are adjacent, or all legal ones if none is."""
         targets = self.space.locate(self.space.goals, seen.observation)
         near = legal & self.find_adjacent(self.space.project(seen.observation), targets)
         return near if near.any() else legal
 
     def store(self, returned: Return) -> None:
-        """Keep the decision, and note which points were within its window of each other."""
+        """Store the decision, and record which points were within its window of each other."""
         super().store(returned)
         points = self.latest.points
         self._adjacent |= {_make_pair(before, after) for index, before in enumerate(points)

@@ -1,9 +1,9 @@
-"""Macro-Q: Q-learning over primitives and macro-actions, each valued by what it earns until it ends.
+"""Macro-Q: Q-learning over primitives and macro-actions, each valued by its reward until it ends.
 
 McGovern, Sutton and Fagg (1997), Roles of macro-actions in accelerating reinforcement learning. "Run to the wall" is a
-macro; so is any course of primitives that depends on what is seen. It is a task without a learner, so the stack runs it
-as any other call. Macros carry values far in one backup, and exploration to where they end, which helps or hurts by
-where the goal is.
+macro; so is any closed-loop course of primitives. A macro is a task without learning, and the stack runs it like any
+other call. Macros carry values far in one backup, and move exploration to where they end. That helps or hurts,
+depending on where the goal is.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class Macro(BaseTask):
     """One macro-action.
 
     Args:
-        policy: moment -> primitive.
-        until: moment reached -> whether the macro is over there; asked after each of its primitives, not before the
-            first, so that every macro lasts at least one.
-        start: moment -> whether it may begin there; anywhere by default.
+        policy: function from a moment to a primitive.
+        until: function from a moment to whether the macro is over. It is called after each primitive but not before the
+            first: every macro lasts at least one primitive.
+        start: function from a moment to whether the macro can begin; anywhere by default.
     """
 
     def __init__(self, name: str, primitives: int, policy: Callable[[Seen], int], until: Callable[[Seen], bool],
@@ -39,19 +39,19 @@ class Macro(BaseTask):
         self._policy, self._until, self._start = policy, until, start
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
-        """The macro may begin here, and its first primitive is legal."""
+        """Return whether the macro can begin here and its first primitive is legal."""
         return bool(seen.mask[self._policy(seen)]) and (self._start is None or self._start(seen))
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """Nothing: the policy reads the moment."""
+        """Return None: the policy reads the moment."""
         return None
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """The policy's primitive; none where that is illegal, which ends the macro."""
+        """Return the policy's primitive, or nothing if it is illegal, which ends the macro."""
         return allow_only(self._policy(seen), seen.mask)
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Certain where `until` says so, after the first primitive."""
+        """Return 1 if `until` returns true, after the first primitive."""
         return float(frame.primitives > 0 and self._until(seen))
 
 
@@ -63,48 +63,49 @@ class MacroChooser(BaseTask):
         self._primitives, self.macros = primitives, tuple(macros)
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Legal primitives, and macros that may begin."""
+        """Return legal primitives, and macros that can begin."""
         callable_now = [macro.is_callable(seen, context) for macro in self.macros]
         return np.concatenate([seen.mask, np.array(callable_now, np.bool_)])
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The primitive or the macro of this number."""
+        """Return the primitive or macro of a number."""
         return Call(choice if choice < self._primitives else self.macros[choice - self._primitives])
 
 
 @dataclass(frozen=True, kw_only=True)
 class MacroQSettings(AgentSettings):
-    """Rates, exploration and discount of `macro-q`; macros are given, not set."""
+    """Settings of `macro-q`: step sizes, exploration and discount; macros are an argument of the agent."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
 
 
@@ -115,11 +116,11 @@ class MacroQ(TabularRunner):
 
         Q(s, m) <- Q(s, m) + alpha [R + gamma^k (1 - terminated) max over legal m' of Q(s', m') - Q(s, m)]
 
-    Where the time limit cut m short, m would have gone on: Q(s', m) takes the place of the maximum, and nothing is
-    learned where m could not begin at s'. An episode may end inside a macro, which then is over.
+    If truncation cut m short, m would have continued: Q(s', m) replaces the maximum, or m is not learned if it cannot
+    begin at s'. An episode can end inside a macro, which is then over.
 
     Args:
-        macros: numbered after the primitives; without any it is Q-learning.
+        macros: macros, numbered after the primitives; without any the algorithm is Q-learning.
     """
 
     Settings: ClassVar[type] = MacroQSettings
@@ -136,15 +137,15 @@ class MacroQ(TabularRunner):
         self._discretise = make_discretiser(observation_space, settings, "macro-q")
 
     def compute_choice_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q(s, .), (primitives + macros,)."""
+        """Return Q(s, .), (primitives + macros,)."""
         return self.table.get_values(self._discretise(observation))
 
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """Values at the root; a macro decides for itself."""
+        """Return values at the root; a macro follows its policy."""
         return None if len(stack) > 1 else self.compute_choice_values(seen.observation)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn the value of a primitive or macro that is over."""
+        """Update the value of a finished primitive or macro."""
         error = 0.0
         for returned in returns:
             decision, seen = returned.decision, returned.seen

@@ -1,8 +1,8 @@
-"""MAXQ-Q: the value of a call is what the child earns, plus what is still earned to complete the parent.
+"""MAXQ-Q: the value of a call is the child's return, plus the return of completing the parent afterwards.
 
-Dietterich (2000). Every task is told the truth about what it earns and is optimal for itself. Pseudo-rewards (section
-5) shape what a task strives for and stay out of what it reports: beside the completion C, which callers add up, each
-task keeps its own with the pseudo-reward of its end, and chooses by that. Without them it is MAXQ-0.
+Dietterich (2000). Every task reports its true return and is optimal for itself. Pseudo-rewards (section 5) affect what
+a task optimises and stay out of what it reports. In addition to the completion C, which callers add up, each task keeps
+another one with the pseudo-reward of its end, and chooses by that. Without pseudo-rewards this is MAXQ-0.
 """
 
 from __future__ import annotations
@@ -27,70 +27,71 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class MaxqQSettings(AgentSettings):
-    """Completions that `maxq-q` learns, beside rates, exploration and discount."""
+    """Settings of `maxq-q`: learned completions, step sizes, exploration and discount."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     pseudo_rewards: bool = True
-    """Choose by completions with the pseudo-rewards of the task graph; without them it is MAXQ-0."""
+    """Choose by completions with the pseudo-rewards of the task graph; False is MAXQ-0."""
     all_states: bool = True
-    """Learn the completion of a choice from every state on the child's way, not from the first alone."""
+    """Learn the completion of a choice from every state on the child's way, instead of the first one alone."""
 
 
 class MaxqQ(TabularRunner):
-    """Two completions of each choice: what callers are told, and what the task chooses by.
+    """Two completions of each choice: one reported to callers, and one that the task chooses by.
 
-    Primitive a, paid r:  V(a, s) <- V(a, s) + alpha [r - V(a, s)]
-    Task i, child c took N from s to s'; D is C with the pseudo-reward P_i of where i ends:
+    Primitive a, reward r:  V(a, s) <- V(a, s) + alpha [r - V(a, s)]
+    Task i, child c took N from s to s'; D is C with the pseudo-reward P_i of i's final state:
 
         a* = argmax over legal c' of V(c', s') + D(i, s', c')
         D(i, s, c) <- D + alpha [gamma^N (V(a*, s') + D(i, s', a*)) - D],   gamma^N P_i(s') where i ended at s'
         C(i, s, c) <- C + alpha [gamma^N (V(a*, s') + C(i, s', a*)) - C],   0               where i ended at s'
         V(i, s')   =  V(a*, s') + C(i, s', a*)
 
-    One a*, chosen by D, serves both: C is the value of the policy that is followed. No pseudo-reward reaches C, so
-    callers are told what the environment pays. With `all_states`, C and D are learned for every state on the child's
-    way, N counted from there. "Ended" means over for task i: a call that its caller cut short bootstraps, and one whose
-    child was cut learns nothing, an option of the environment included.
+    One a*, chosen by D, serves both: C is the value of the executed policy. C contains no pseudo-reward, and callers
+    therefore receive returns of the environment. With `all_states`, C and D are learned for every state on the child's
+    way, with N counted from there. "Ended" means over for task i. A call that its caller cut short bootstraps, and one
+    whose child was cut is not learned, including options of the environment.
 
-    A task whose policy is given has nothing to choose, so it has no completions: like a primitive it is worth what
-    its calls earned, learned from every state on the way. A call that was cut bootstraps.
+    A task with a given policy makes no choices and has no completions. Like a primitive it is worth the return of its
+    calls, learned from every state on the way. A call that was cut bootstraps.
 
     Args:
-        observation_space: for tasks that see the whole observation.
-        hierarchy: from `maxq(graph, until, pseudo=...)`; without one, a single task over all primitives, which is
+        observation_space: observation space, for tasks that see the whole observation.
+        hierarchy: result of `maxq(graph, until, pseudo=...)`; without one, a single task over all primitives, which is
             Q-learning.
 
     Attributes:
-        tables: C (`completion`), D (`own_completion`), V of primitives (`primitive`) and of tasks whose policy is given
+        tables: C (`completion`), D (`own_completion`), V of primitives (`primitive`) and of tasks with a given policy
             (`walk`).
     """
 
@@ -99,7 +100,7 @@ class MaxqQ(TabularRunner):
     EPISODE_STATE = (*TabularRunner.EPISODE_STATE, "way")
     STATE = ("tables", Kept("_told_way", "way"))
     _way: list[tuple[Seen, int, float]]
-    """Moments of the running root call; how long each one's primitive took, and what it earned."""
+    """Moments of the running root call, with the duration and reward of each one's primitive."""
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: MaxqQSettings | None = None, hierarchy: Hierarchy | None = None) -> None:
@@ -111,14 +112,14 @@ class MaxqQ(TabularRunner):
         self._discretise = _make_discretiser(observation_space, settings, self.hierarchy)
 
     def begin_episode(self) -> None:
-        """No call runs."""
+        """Clear the running calls."""
         super().begin_episode()
         self._way = []
 
     # --- values -----------------------------------------------------------------------
 
     def make_key(self, task: GraphTask, choice: int, seen: Seen) -> Hashable:
-        """Key of (task, choice) at a moment, by the finest view that is given."""
+        """Return the key of (task, choice) at a moment, from the finest given view."""
         return task.name, choice, self._show(task.views.get(choice) or task.views.get(None), seen)
 
     def _make_primitive_key(self, primitive: int, seen: Seen) -> Hashable:
@@ -134,7 +135,7 @@ class MaxqQ(TabularRunner):
         return self._discretise(seen.observation)
 
     def compute_value(self, child: GraphTask | int, seen: Seen) -> float:
-        """V(c, s) of a child: a table for a primitive or a given policy, the graph below for a task that chooses."""
+        """Return V(c, s) of a child: from a table for a primitive or given policy, otherwise from the graph below."""
         if isinstance(child, int):
             return self.tables["primitive"].get(self._make_primitive_key(child, seen))
         if child.policy is not None:
@@ -142,7 +143,7 @@ class MaxqQ(TabularRunner):
         return self.compute_task_value(child, seen)
 
     def compute_choice_values(self, task: GraphTask, seen: Seen) -> NDArray[np.float64]:
-        """V(c, s) + D(i, s, c), (choices,); -inf where illegal."""
+        """Return V(c, s) + D(i, s, c), (choices,); -inf if illegal."""
         legal = task.legal(seen, None)
         return np.array([
             self.compute_value(child, seen) + self.tables["own_completion"].get(self.make_key(task, choice, seen))
@@ -151,7 +152,7 @@ class MaxqQ(TabularRunner):
         ])  # fmt: skip
 
     def compute_task_value(self, task: GraphTask, seen: Seen) -> float:
-        """V(i, s): what the choice that D prefers earns from the environment."""
+        """Return V(i, s): the environment's return of the choice that D prefers."""
         choice = int(self.compute_choice_values(task, seen).argmax())
         told = self.tables["completion"].get(self.make_key(task, choice, seen))
         return self.compute_value(task.children[choice], seen) + told
@@ -159,18 +160,18 @@ class MaxqQ(TabularRunner):
     # --- the agent --------------------------------------------------------------------
 
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """Values that the task chooses by, unless its policy is given."""
+        """Return the values that the task chooses by, unless its policy is given."""
         task = get_task(stack)
         return None if task.policy is not None else self.compute_choice_values(task, seen)
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best choice, the first among equals: callers are told what that one earns."""
+        """Return the best choice; ties by the first, because callers use the value of that one."""
         values = self.weigh(stack, view, seen)
         return int(legal.argmax()) if values is None else choose_best(values, legal)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn the primitive's value, then the completions of the choices that came back, the innermost first."""
+        """Update the primitive's value, then the completions of finished choices, the innermost first."""
         self._way.append((step.seen, step.duration, step.reward))
         error = 0.0
         if not step.cut:
@@ -188,7 +189,7 @@ class MaxqQ(TabularRunner):
         return self.finish_step(step, error)
 
     def complete(self, returned: Return, task: GraphTask, way: list[tuple[Seen, int]]) -> float:
-        """Learn D and C of a choice from moments and primitives to its end; returns the largest error of D."""
+        """Update D and C of a choice from moments and primitives to its end; return the largest error of D."""
         own_after = after = 0.0
         if returned.ended:
             own_after = task.final(returned.frame, returned.seen) if self.settings.pseudo_rewards else 0.0
@@ -213,7 +214,7 @@ class MaxqQ(TabularRunner):
         return way
 
     def _learn_walk(self, returned: Return, task: GraphTask) -> float:
-        """Learn a given policy's value from every moment of a call that is over; returns the largest error."""
+        """Update a given policy's value from every moment of a finished call; return the largest error."""
         is_complete = returned.ended or returned.stuck or returned.terminated
         earned = 0.0 if is_complete else self.tables["walk"].get(self._make_walk_key(task, returned.seen))
         length, error = 0, 0.0
@@ -236,7 +237,7 @@ class MaxqQ(TabularRunner):
 
 def _make_discretiser(space: gymnasium.Space, settings: MaxqQSettings, hierarchy: Hierarchy
                       ) -> Callable[[Any], bytes] | None:
-    """Keys of whole observations; None where every task and primitive has a view of its own."""
+    """Keys of whole observations, or None if every task and primitive has a view of its own."""
     graph = [task for task in hierarchy.tasks.values() if isinstance(task, GraphTask)]
     called = {(child, index, task) for task in graph for index, child in enumerate(task.children)}
     is_covered = all(

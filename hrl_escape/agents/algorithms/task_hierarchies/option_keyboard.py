@@ -1,7 +1,7 @@
-"""The option keyboard: skills are keys, and a chord of them, wanted or unwanted, is played without learning it.
+"""The option keyboard: skills are keys, and chords of wanted and unwanted events are played without learning them.
 
 Barreto et al. (2019), in tables: successor features of the skills (Barreto et al. 2017), generalised policy improvement
-for chords, and a player that learns which chord to strike. Events are goals that come to be reached, such as a touch.
+for chords, and a player that learns to choose chords. Events are goals that become reached, such as a touch.
 """
 
 from __future__ import annotations
@@ -25,46 +25,47 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class OptionKeyboardSettings(AgentSettings):
-    """Settings of `option-keyboard`; exploration is the player's, and within a chord a share of it."""
+    """Settings of `option-keyboard`; exploration applies to the player, and `chord_epsilon` within a chord."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
-    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
-    proportional to exp(q / temperature)."""
+    """`epsilon-greedy` draws evenly with probability epsilon. `boltzmann` draws by exp(q / temperature)."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Temperature of `boltzmann`, in units of return."""
+    """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
-    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
-    likely. 0 sets no bound."""
+    """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; values beyond it are equally likely. 0
+    sets none."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
-    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    """Step size of the first update of a state and action. 1 suits deterministic environments; smaller values average
+    noise."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
-    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    """Power p in the step size learning_rate / n^p of the n-th update of a state and action. Values above 0.5 converge
+    under noise."""
     initial_value: float = 0.0
-    """Value of actions that were never tried, in units of return."""
+    """Value of actions that were never tried, in units of return. Higher values explore more."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     patience: Annotated[int, Range(1)] = 50
-    """Primitives after which a chord without an event is released."""
+    """Most primitives of a chord without an event."""
     chord_epsilon: Annotated[float, Range(0, 1)] = 0.1
-    """Share of random primitives within a chord."""
+    """Probability of a random primitive within a chord. More explores more."""
 
 
 class SuccessorTable(Stateful):
-    """psi_i(s, a), the discounted chance that each event is the first to happen, under the skill of event i."""
+    """psi_i(s, a), the discounted probability that each event is the first to happen, under the skill of event i."""
 
     STATE = (Columns({"values": "_values"}),)
 
@@ -73,20 +74,20 @@ class SuccessorTable(Stateful):
         self._values: dict[bytes, NDArray[np.float64]] = {}
 
     def get(self, key: bytes) -> NDArray[np.float64]:
-        """psi(s), (skills, actions, events); not to be written."""
+        """Return psi(s), (skills, actions, events), read-only."""
         values = self._values.get(key)
         return np.zeros(self._shape) if values is None else values
 
     def compute_chord(self, key: bytes, chord: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Generalised policy improvement: max over skills i of psi_i(s, .) w, (actions,)."""
+        """Return values by generalised policy improvement: max over skills i of psi_i(s, .) w, (actions,)."""
         return (self.get(key) @ chord).max(axis=0)
 
     def update(self, key: bytes, action: int, happened: NDArray[np.floating], discount: float, after: bytes,
                legal: NDArray[np.bool_]) -> None:
-        """Move every skill's psi_i(s, a) towards what happened + discount psi_i(s', a'), a' best for event i.
+        """Update every skill's psi_i(s, a) towards the events + discount psi_i(s', a'), a' best for event i.
 
-        What happened at s', (events,), is discounted, 0 for all other events. The discount is gamma^k, 0 where an event
-        happened or the episode terminated; primitives are `legal` at s'.
+        `happened` at s', (events,), has the discount of its event, and 0 for all others. The discount is gamma^k, 0 if
+        an event happened or the episode terminated; primitives are `legal` at s'.
         """
         target = np.tile(happened, (self._shape[0], 1))
         if discount:
@@ -98,14 +99,14 @@ class SuccessorTable(Stateful):
 
 
 class _Player(GoalTask):
-    """Strikes a chord; paid by the environment."""
+    """Chooses a chord; its reward is the environment's."""
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         return np.ones(int(self.space.n), np.bool_)
 
 
 class _Chord(GoalTask):
-    """Plays a chord, by number, until an event or for want of patience."""
+    """Plays a chord until an event, or until patience runs out."""
 
     def __init__(self, space: GoalSpace, chords: int, primitives: int, patience: int) -> None:
         super().__init__("chord", space, primitives)
@@ -115,13 +116,13 @@ class _Chord(GoalTask):
         return {f"chord {number}": number for number in range(self._chords)}
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """True once a goal is reached that was not where the chord was struck; one left and reached again is none."""
+        """Return 1 once a goal is reached that was not reached at the beginning, even if left and reached again."""
         before, now = (self.goal_space.list_reached(each.observation) for each in (frame.start, seen))
         return float(frame.primitives >= self._patience or bool((now & ~before).any()))
 
 
 def make_chords(events: int) -> NDArray[np.float64]:
-    """Each event; each event and no other; all events alike. (chords, events)."""
+    """Return one chord per event; per event without the others; and one for all events, (chords, events)."""
     single = np.eye(events)
     return np.concatenate([single, 2 * single - 1, np.ones((1, events))] if events > 1 else [single])
 
@@ -137,7 +138,7 @@ class OptionKeyboard(TabularRunner):
     primitive. A chord is at least as good as each skill alone (Barreto et al. 2017, theorem 1).
 
     Args:
-        goal_space: its goals are the events, each when it comes to be reached; by default those of `make_goal_space`.
+        goal_space: its goals are the events, each when it becomes reached; by default the result of `make_goal_space`.
     """
 
     Settings = OptionKeyboardSettings
@@ -158,18 +159,18 @@ class OptionKeyboard(TabularRunner):
         self.table = QTable(len(self.chords), settings)
 
     def make_key(self, view: Any) -> bytes:
-        """Key of what tables see."""
+        """Return the key of a view in the tables."""
         return self._find_cell(view).tobytes()
 
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64]:
-        """Values of chords, or of primitives within one."""
+        """Return values of chords, or of primitives within one."""
         frame = stack[-1]
         if frame.task is not self._chord:
             return self.table.get_values(self.make_key(view))
         return self.skills.compute_chord(self.make_key(view), self.chords[frame.context])
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """The player explores as the settings say, a chord by its own epsilon."""
+        """Explore by the settings for the player, and by `chord_epsilon` for a chord."""
         if stack[-1].task is not self._chord:
             return super().choose(stack, view, legal, seen)
         if self._action_rng.random() < self.settings.chord_epsilon:
@@ -177,7 +178,7 @@ class OptionKeyboard(TabularRunner):
         return self.choose_greedy(stack, view, legal, seen, self._action_rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Teach every skill the primitive, and the player its chord once it is released."""
+        """Update every skill with the primitive, and the player with its finished chord."""
         before, after = (self.space.list_reached(each.observation) for each in (step.seen, step.next_seen))
         happened = after & ~before
         goes_on = not (happened.any() or step.terminated)

@@ -1,7 +1,7 @@
-"""R-MAXQ: R-MAX's optimistic model of the primitives, put together upwards into models of whole tasks.
+"""R-MAXQ: R-MAX's optimistic model of the primitives, combined upwards into models of whole tasks.
 
-Jong and Stone (2008), Hierarchical model-based reinforcement learning: R-MAX + MAXQ. A task's model
-says what it earns and where it ends, so that its caller plans with it as with a primitive.
+Jong and Stone (2008), Hierarchical model-based reinforcement learning: R-MAX + MAXQ. A task's model contains its reward
+and its final states, and its caller plans with it as with a primitive.
 """
 
 from __future__ import annotations
@@ -26,44 +26,46 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 
 SWEEPS_A_TASK = 10_000
-"""Bound on sweeps of value iteration in one task."""
+"""Largest number of sweeps of value iteration in one task."""
 LEAK = 1e-10
-"""Share of a task's steps that end it nowhere, so that a policy that never ends has a finite, hopeless value."""
+"""Probability that a step of a task ends it nowhere, which gives a policy that never ends a finite, low value."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RMaxqSettings(AgentSettings):
-    """Samples that make a pair known to `r-maxq`, and bounds of its models."""
+    """Settings of `r-maxq`: samples that make a pair known, and bounds of its models."""
 
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     visits: Annotated[int, Range(1)] = 1
-    """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes are deterministic."""
+    """m, samples that make a pair of state and primitive known. 1 is enough for deterministic outcomes; more are needed
+    under noise."""
     optimistic_value: float = 100.0
-    """Value of an unknown pair (V_max), in units of return: no state's true value may be higher."""
+    """V_max, value of an unknown pair in units of return. No true value may be higher; higher values explore more."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
-    """Value iteration stops when no value moves by more than this."""
+    """Tolerance of value iteration, which stops when all changes are smaller. Smaller values are more precise and
+    slower."""
     most_states: Annotated[int, Range(1)] = 2_000
-    """Bound on states met; a task's model grows with its square."""
+    """Most states; a task's model grows with its square."""
 
 
 class _Model(NamedTuple):
-    """A primitive or a task as its caller plans with it: R (states,), P (states, states) with discounts inside."""
+    """A primitive or task as its caller's model: R (states,), P (states, states) with discounts included."""
 
     rewards: NDArray
     follow: NDArray
 
 
 class _Plan(NamedTuple):
-    """A task's Q(s, .) as it plans, (states, choices), and its model."""
+    """A task's Q(s, .), (states, choices), and its model."""
 
     values: NDArray
     model: _Model
@@ -72,18 +74,18 @@ class _Plan(NamedTuple):
 class RMaxq(CallRunner):
     """Models of tasks from models of their children.
 
-    Primitive a:  R(s), P(s, .) as counted, P with gamma^k inside; R = V_max, P = 0 where n(s, a) < m
+    Primitive a:  R(s), P(s, .) from counts, P including gamma^k; R = V_max, P = 0 if n(s, a) < m
     Task i:       pi(s)   = argmax over legal c of R_c(s) + sum over x of P_c(s, x) V(x)
-                  V(x)    = pseudo-reward of x where i is over, else the maximum
-                  R_i(s)  = R_pi(s) + sum over x where i goes on of P_pi(s, x) R_i(x)
-                  P_i(s, x) = P_pi(s, x) [i is over at x] + sum over y where i goes on of P_pi(s, y) P_i(y, x)
+                  V(x)    = pseudo-reward of x if i is over, otherwise the maximum
+                  R_i(s)  = R_pi(s) + sum over x where i continues of P_pi(s, x) R_i(x)
+                  P_i(s, x) = P_pi(s, x) [i is over at x] + sum over y where i continues of P_pi(s, y) P_i(y, x)
 
-    An unknown primitive makes every call that leads to it look worth V_max; nothing else explores. Plans are made anew
-    when a pair becomes known, over the states met so far.
+    An unknown primitive gives every call that leads to it the value V_max; this is the only exploration. Plans are
+    computed again when a pair becomes known, over the states met so far.
 
     Args:
-        observation_space: states are its observations, rounded.
-        hierarchy: from `maxq(graph, until)`; without one, a single task over all primitives, which is R-MAX.
+        observation_space: observation space; states are rounded observations.
+        hierarchy: result of `maxq(graph, until)`; without one, a single task over all primitives, which is R-MAX.
     """
 
     Settings: ClassVar[type] = RMaxqSettings
@@ -112,17 +114,17 @@ class RMaxq(CallRunner):
         self._counts: list[NDArray[np.int64]] = []
         self._rewards: list[NDArray[np.float64]] = []
         self._weights: list[dict[tuple[int, int], float]] = []
-        """By state, (primitive, next state) -> sum of gamma^k over samples that went on."""
+        """By state, (primitive, next state) -> sum of gamma^k over samples that continued."""
         self._plans: dict[str, _Plan] = {}
 
     # --- the model --------------------------------------------------------------------
 
     def number(self, seen: Seen) -> int:
-        """Number of a moment's state, a new one at the first meeting."""
+        """Return the number of a moment's state, a new one at its first visit."""
         key = self._discretise(seen.observation)
         if key not in self._numbers:
             if len(self._moments) >= self.settings.most_states:
-                raise UnsupportedError(f"r-maxq met more than {len(self._moments)} states; raise `most_states`, or "
+                raise UnsupportedError(f"r-maxq met more than {len(self._moments)} states. Raise `most_states`, or "
                                        "round observations more coarsely")  # fmt: skip
             self._numbers[key] = len(self._moments)
             self._moments.append(seen)
@@ -145,7 +147,7 @@ class RMaxq(CallRunner):
         return _Model(rewards, follow)
 
     def plan(self, task: GraphTask) -> _Plan:
-        """The plan of a task in the present model, and of all tasks below."""
+        """Return the plan of a task in the current model, with the plans of all tasks below."""
         if task.name not in self._plans:
             models = [self._get_model(child) for child in task.children]
             moments = self._moments
@@ -181,12 +183,12 @@ class RMaxq(CallRunner):
     # --- the agent --------------------------------------------------------------------
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """The best choice of the optimistic plan."""
+        """Return the best choice of the optimistic plan."""
         return self.choose_greedy(stack, view, legal, seen, self._action_rng)
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best choice of the same plan; any in a state never met, or met where none of those legal here was."""
+        """Return the best choice of the same plan; a random one in new states, or without known legal choices."""
         state = self._numbers.get(self._discretise(seen.observation))
         if state is None:
             return sample_legal(legal, rng)
@@ -194,7 +196,7 @@ class RMaxq(CallRunner):
         return int(values.argmax()) if np.isfinite(values).any() else sample_legal(legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Count one primitive; an option that was cut inside does not show where it leads."""
+        """Count one primitive. An option that was cut inside has no outcome."""
         if step.cut:
             return {"states": len(self._moments)}
         before, after, action = self.number(step.seen), self.number(step.next_seen), step.action
@@ -206,7 +208,7 @@ class RMaxq(CallRunner):
         self._rewards[before][action] += step.reward
         self._counts[before][action] += 1
         count = int(self._counts[before][action])
-        # Afterwards averages move little: at every doubling is often enough.
+        # Further samples change averages little, and planning at every doubling is enough.
         if is_new or count == self.settings.visits or (count > self.settings.visits and count & (count - 1) == 0):
             self._plans = {}
         return {"states": len(self._moments)}

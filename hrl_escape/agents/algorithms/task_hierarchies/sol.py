@@ -1,7 +1,7 @@
-"""SOL, scalable option learning: one network for a controller and all options, which one being an input.
+"""SOL, scalable option learning: one network for the controller and all options, with their index as input.
 
-Henaff et al. (2025), from the paper's description, in one environment: an option is a reward function, the controller
-chooses one and for how long, and V-trace (Espeholt et al. 2018) chains each policy's return over its own steps alone.
+Henaff et al. (2025), from the paper's description, in one environment. An option is a reward function. The controller
+chooses one and its length, and V-trace (Espeholt et al. 2018) chains each policy's return over its own steps alone.
 """
 
 from __future__ import annotations
@@ -41,65 +41,67 @@ class SolSettings(AgentSettings):
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
+    """Weight of the policy's entropy in the loss. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     longest: Annotated[int, Range(1)] = 32
     """Most primitives of an option; the controller chooses among the powers of 2 up to it."""
     rollout: Annotated[int, Range(2)] = 128
-    """Choices of the controller and of options, together, collected before each round of updates."""
+    """Choices of controller and options, together, collected before each round of updates. More make steadier
+    updates."""
     epochs: Annotated[int, Range(1)] = 2
-    """Updates from a rollout; from the second on V-trace weighs choices by how likely they have become."""
+    """Updates from a rollout. From the second on, V-trace weighs choices by the change of their probability."""
     ratio_clip: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Bound on these weights, rho and c of V-trace."""
+    """Bound on these weights, rho and c of V-trace. Smaller bounds have less variance and more bias."""
 
 
 class Choices(NamedTuple):
-    """Choices of all policies, in the order in which they were over; a field a column, with leading dimension n."""
+    """Choices of all policies, in the order of their ends; one column per field, with leading dimension n."""
 
     observation: Any  # (n, numbers), encoded
     policy: Any  # int64 (n,), 0 for the controller, 1 + option
     mask: Any  # bool (n, most choices)
     choice: Any  # int64 (n,)
-    log_probability: Any  # float32 (n,), when it was made
-    reward: Any  # float32 (n,), sum of gamma^i times the policy's own pay
-    bootstrap: Any  # float32 (n,), gamma^k, 0 where the episode terminated
-    over: Any  # bool (n,), the episode ended
+    log_probability: Any  # float32 (n,), at the time of the choice
+    reward: Any  # float32 (n,), sum of gamma^i times the policy's own reward
+    bootstrap: Any  # float32 (n,), gamma^k, 0 if the episode terminated
+    over: Any  # bool (n,), whether the episode ended
     next_observation: Any  # (n, numbers)
 
 
 def compute_vtrace(choices: Choices, values: Tensor, next_values: Tensor, ratio: Tensor, clip: float
                    ) -> tuple[Tensor, Tensor]:
-    """Targets of values and advantages, chained from each choice to the next one of the same policy in its episode.
+    """Return targets of values and advantages, chained from each choice to the next of the same policy and episode.
 
-    Values and `next_values`, V of the states reached, are those of the same policies, (n,); `ratio` is pi now / pi when
-    the choice was made, (n,), and `clip` bounds rho and c.
+    `values`, and `next_values` of the next states, belong to the same policies, (n,). `ratio` is the current pi divided
+    by pi at the time of the choice, (n,), and `clip` bounds rho and c.
 
         v_t = V_t + rho_t (r_t + b_t V' - V_t) + b_t c_t (v' - V'),    A_t = rho_t (r_t + b_t v' - V_t)
 
-    V' and v' are those of that next choice, whatever ran between; without one, both are V of the state reached, for
-    the same policy.
+    V' and v' belong to that next choice, independent of what ran in between. Without one, both are V of the next state
+    for the same policy.
     """
     weight, targets, advantages = ratio.clamp(max=clip), values.clone(), torch.zeros_like(values)
     following: dict[int, tuple[Tensor, Tensor]] = {}
     for row in range(len(values) - 1, -1, -1):
         policy = int(choices.policy[row])
-        if choices.over[row] and not policy:  # the controller is over last: an episode's end is one for every policy
+        if choices.over[row] and not policy:  # the controller's choice ends last; an end of the episode ends all
             following = {}
         value_after, target_after = following.get(policy, (next_values[row], next_values[row]))
         reward, bootstrap = choices.reward[row], choices.bootstrap[row]
@@ -111,7 +113,7 @@ def compute_vtrace(choices: Choices, values: Tensor, next_values: Tensor, ratio:
 
 
 class _Option(BaseTask):
-    """Runs for as many primitives as the controller said, told (option, primitives); paid by its reward function."""
+    """Runs for the number of primitives that the controller chose; its reward is its reward function."""
 
     def __init__(self, space: GoalSpace, primitives: int, longest: int) -> None:
         super().__init__("option", primitives)
@@ -124,7 +126,7 @@ class _Option(BaseTask):
         return float(frame.primitives >= frame.context[1])
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """1 where the option's goal comes to be reached; of the last option, what the environment pays."""
+        """Return 1 if the option's goal becomes reached; for the last option, the environment's reward."""
         if frame.context[0] == len(self._space.goals):
             return step.reward
         before, after = (self._space.list_reached(each.observation)[frame.context[0]]
@@ -133,7 +135,7 @@ class _Option(BaseTask):
 
 
 class _Controller(BaseTask):
-    """Chooses an option and its length, at no cost of its own; paid by the environment."""
+    """Chooses an option and its length, at no cost of its own; its reward is the environment's."""
 
     def __init__(self, option: _Option, options: int, lengths: list[int]) -> None:
         super().__init__("controller", options * len(lengths))
@@ -148,16 +150,16 @@ class _Controller(BaseTask):
 
 
 class Sol(CallRunner):
-    """One step down this loss for all policies together, `epochs` times a rollout.
+    """One step on this loss for all policies together, `epochs` times per rollout.
 
         - A log pi(c | s, i) + value weight x half of (v - V(s, i))^2 - entropy weight x entropy
 
-    v and A are those of `compute_vtrace`, i is the policy: the controller, an option for each goal, or one for the task
-    itself, by which all can fall back to flat. A choice of the controller costs neither primitives nor discount: its
-    reward and its gamma^k are those of the option that it starts.
+    v and A come from `compute_vtrace`. i is the policy: the controller, an option for each goal, or one for the task
+    itself, which makes flat behaviour possible. A choice of the controller takes no primitives and no discount: its
+    reward and gamma^k belong to the option that it starts.
 
     Args:
-        goal_space: its goals, each when it comes to be reached, are the rewards of options; by default those of
+        goal_space: its goals, each when it becomes reached, are the rewards of options; by default the result of
             `make_goal_space`.
     """
 
@@ -185,7 +187,7 @@ class Sol(CallRunner):
         self._action_rng = make_rng(seed, "actions")
 
     def begin_episode(self) -> None:
-        """Begin an empty rollout; every stream has its own."""
+        """Begin an empty rollout. Every environment has its own."""
         super().begin_episode()
         self._rows: list[Choices] = []
 
@@ -197,7 +199,7 @@ class Sol(CallRunner):
         return np.concatenate([self._encoder.encode(observation), told])
 
     def compute_policy(self, frame: Frame, observation: Any, legal: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Probabilities of the choices of a running call, (choices,)."""
+        """Return probabilities of the choices of a running call, (choices,)."""
         policy = 0 if frame.context is None else 1 + int(frame.context[0])
         output = self.network.compute(self._see(observation, policy))
         logits = output[: self._actions] if policy else output[self._actions : -1]
@@ -209,13 +211,13 @@ class Sol(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The likeliest choice."""
+        """Return the likeliest choice."""
         return choose_best(self.compute_policy(stack[-1], view, legal), legal)
 
     # --- learning ------------------------------------------------------------------------
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Keep the choices that came back; update when the rollout is full."""
+        """Store finished choices; update when the rollout is full."""
         for returned in returns:
             decision, frame = returned.decision, returned.frame
             policy = 0 if frame.context is None else 1 + int(frame.context[0])
@@ -234,7 +236,7 @@ class Sol(CallRunner):
         return self._learner.minimise_each(self.compute_losses(choices) for _ in range(self.settings.epochs))
 
     def compute_outputs(self, choices: Choices) -> tuple[Tensor, Tensor]:
-        """Log probabilities of choices, (n, most choices), and V(s, policy), (n,)."""
+        """Return log probabilities of choices, (n, most choices), and V(s, policy), (n,)."""
         output, most = self.network(choices.observation), max(self._numbers)
         low, high = (functional.pad(part, (0, most - part.shape[1]))
                      for part in (output[:, : self._actions], output[:, self._actions : -1]))
@@ -242,7 +244,7 @@ class Sol(CallRunner):
         return compute_log_policy(logits, choices.mask), output[:, -1]
 
     def compute_losses(self, choices: Choices) -> dict[str, Tensor]:
-        """The loss over a rollout, and its parts."""
+        """Return the loss over a rollout, and its parts."""
         settings = self.settings
         log_policy, values = self.compute_outputs(choices)
         log_probability = take_column(log_policy, choices.choice)
@@ -263,7 +265,7 @@ class Sol(CallRunner):
 
     @property
     def _kept(self) -> dict[str, Tensor] | None:
-        """Choices so far by field; None where there are none."""
+        """Choices so far by field, or None without any."""
         return self._stack_rows()._asdict() if self._rows else None
 
     @_kept.setter

@@ -1,8 +1,8 @@
-"""Puzzles in tensors: one form for all puzzles with a table, and forms of their own for those that need one.
+"""Puzzles in tensors: one form for all puzzles with a table, and hand-written forms for the others.
 
-These have maps, watch every primitive, or have too many states for a table. Such a form repeats the rules of
-the puzzle's own file in `env/puzzles` without branches; conformance tests hold the two together. Importing this package
-imports every module in it; each ends with `register_tensor_puzzle`, which third parties call for their own.
+Puzzles need their own form if they have maps, watch every primitive, or have too many states for a table. A form
+repeats the rules of the puzzle's file in `env/puzzles` without branches; conformance tests compare the two. Importing
+this package imports every module in it. Each ends with `register_tensor_puzzle`, which other packages can call as well.
 """
 
 from importlib import import_module

@@ -1,8 +1,8 @@
-"""Contract and registry of tensor forms: a puzzle's rules over 64-bit words, one word a room.
+"""Interface and registry of tensor forms: a puzzle's rules over 64-bit words, one word per room.
 
-A puzzle with few states needs no form of its own: `TabulatedPuzzle` reads a table of its rules, tried once in every
-state that can be reached. Puzzles with maps, with things on the floor, that watch every primitive or that have too many
-states have no table.
+A puzzle with few states needs no form of its own: `TabulatedPuzzle` reads a table, made by applying the rules in every
+reachable state. Puzzles with maps, with things on the floor, that watch every primitive or that have too many states
+have no table.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ GRIPS = (1, -1, USE)
 MOST_TABULATED = 200_000
 """Most states of a puzzle with a table."""
 _MOST_TRIED = 500
-"""Most pairs of targets touched at once that are compared with the table."""
+"""Most pairs of targets touched at once that are checked against the table."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PuzzleTable:
     """The rules of a puzzle with S states, in which a primitive has O outcomes, for E events.
 
-    Events are a press of each target, and where the puzzle has use for them, for each of `GRIPS` one that touches
-    nothing and one for each target touched. Several presses of one primitive count in index order; of several targets
-    touched by a grip, the first at which it does anything counts.
+    Events are a press of each target. If the puzzle uses grips, each of `GRIPS` adds an event that touches no target
+    and one per touched target. Several presses in one primitive count in index order. If a grip touches several
+    targets, the first with an effect counts.
     """
 
-    states: tuple[Any, ...]  # the states, those in which episodes may begin first
-    numbers: dict[Any, int]  # their numbers
-    after: NDArray[np.int32]  # number of the state after an event, int32 (events, states, outcomes)
+    states: tuple[Any, ...]  # all states, initial states first
+    numbers: dict[Any, int]  # index of each state
+    after: NDArray[np.int32]  # index of the state after an event, int32 (events, states, outcomes)
     rewards: NDArray[np.float64]  # reward of the event, float64 (events, states, outcomes)
     observed: NDArray[np.float32]  # observation numbers, float32 (numbers, states)
     lit: NDArray[np.int64]  # bits of the targets that are on, int64 (states,)
@@ -54,11 +54,11 @@ class PuzzleTable:
 
 
 class _UnseenError(Exception):
-    """The rules have read a value that a table does not hold."""
+    """The rules read a value that a table does not contain."""
 
 
 class _Unseen:
-    """Stand-in for a value of `Contacts`: any use of it raises `_UnseenError`."""
+    """Placeholder for a value of `Contacts`: any use of it raises `_UnseenError`."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -97,12 +97,14 @@ def tabulate(puzzle: Puzzle, pairs: bool = True, most: int | None = None) -> Puz
 
     Args:
         puzzle: the puzzle.
-        pairs: check that several targets touched at once do what the table says; if false, it holds for single ones.
-        most: most states; None for `MOST_TABULATED`.
+        pairs: whether to check that several targets touched at once have the effect in the table. If false, the table
+            is only valid for single targets.
+        most: largest number of states, or None for `MOST_TABULATED`.
 
     Raises:
-        UnsupportedError: it has none: it watches every primitive, its rules read more than what is pressed, gripped
-            and drawn, several targets at once are not one after the other, or there are more than `most` states.
+        UnsupportedError: the puzzle cannot have a table. It watches every primitive, its rules read more than presses,
+            grips and the random number, simultaneous targets do not count one after the other, or there are more than
+            `most` states.
     """
     try:
         if puzzle.is_watching:
@@ -114,7 +116,7 @@ def tabulate(puzzle: Puzzle, pairs: bool = True, most: int | None = None) -> Puz
         return _tabulate(puzzle, pairs, MOST_TABULATED if most is None else most)
     except _UnseenError as why:
         raise UnsupportedError(
-            f"puzzle {puzzle.kind!r} has no tensor form, and none can be made of its rules, for {why}: use the Bullet "
+            f"puzzle {puzzle.kind!r} has no tensor form, and its rules have no table, because {why}. Use the Bullet "
             "engine (gymnasium.make, or make_vec with vectorization_mode='sync'), or register_tensor_puzzle") from None
 
 
@@ -161,7 +163,7 @@ def _pack(flags: Sequence[bool]) -> int:
 
 
 def _check_pairs(puzzle: Puzzle, table: PuzzleTable, chances: Sequence[float]) -> None:
-    """Check in some of the states that two targets touched at once have the effect in the table."""
+    """Check in some states that two targets touched at once have the effect in the table."""
     targets = len(puzzle.target_names)
     pairs = list(itertools.combinations(range(targets), 2))
     grips = (0, *GRIPS) if len(table.after) > targets else (0,)
@@ -184,8 +186,8 @@ def _check_pairs(puzzle: Puzzle, table: PuzzleTable, chances: Sequence[float]) -
         earned = puzzle.compute_reward(table.states[before], really, contacts)
         if really != table.states[state] or abs(earned - reward) > 1e-6:
             names = " and ".join(puzzle.target_names[target] for target in pair)
-            raise _UnseenError(f"{names} at once do something else in the state {table.states[before]} than "
-                               "one after the other, or than the first that does anything")
+            raise _UnseenError(f"{names} at once have another effect in the state {table.states[before]} than one "
+                               "after the other, or than the first with an effect")
 
 
 PuzzleTables = dict[str, Tensor]
@@ -195,22 +197,21 @@ class TensorContacts(NamedTuple):
     """Contacts of one primitive in each room."""
 
     pressed: Tensor  # bits of the newly touched targets, int64 (rooms,)
-    uniform: Tensor  # numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random
+    uniform: Tensor  # random numbers in (0, 1) for this primitive, float64 (rooms,); 0 if no puzzle is random
     touching: Tensor  # bits of all targets touched at the primitive's end, int64 (rooms,)
     grip: Tensor
-    """1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, 3 where a move pushes, else 0,
-    int64 (rooms,)."""
-    has_moved: Tensor  # true where the body's axis has moved, bool (rooms,)
-    x: Tensor  # places of the bodies' axes, m, float64 (rooms,)
-    y: Tensor  # places of the bodies' axes, m, float64 (rooms,)
+    """1 if the primitive was `grip`, -1 if `release`, 2 if `use`, 3 if a move pushes, otherwise 0, int64 (rooms,)."""
+    has_moved: Tensor  # whether the body's axis has moved, bool (rooms,)
+    x: Tensor  # x of the bodies' axes, m, float64 (rooms,)
+    y: Tensor  # y of the bodies' axes, m, float64 (rooms,)
     ahead: Tensor  # index of the inner door one move ahead, -1 for none, int64 (rooms,)
-    beyond: Tensor  # index of the inner door two moves ahead, where something is pushed, int64 (rooms,)
+    beyond: Tensor  # index of the inner door two moves ahead, into which a thing is pushed, int64 (rooms,)
 
 
 class TensorPuzzle(ABC):
-    """A puzzle's rules over tensors; its state is one int64 word a room.
+    """A puzzle's rules over tensors. Its state is one int64 word per room.
 
-    The methods that are not abstract suit puzzles whose own state is an integer with bit i for target i.
+    The methods that are not abstract suit puzzles whose state is an integer with bit i for target i.
     """
 
     whole: ClassVar[frozenset[str]] = frozenset()
@@ -220,36 +221,36 @@ class TensorPuzzle(ABC):
     def make_tables(self, puzzles: Sequence[Any], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Stack the tables that the rules read; the last axis is the instance, except in the tables of `whole`.
 
-        `frame` has the targets of the instance that has most, and bounds of its observation numbers. Targets that an
-        instance lacks are never touched, and the numbers that it lacks are 0.
+        `frame` has the targets of the instance with the most, and the bounds of its observation numbers. Targets that
+        an instance lacks are never touched, and numbers that it lacks are 0.
         """
 
     @abstractmethod
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Apply presses in index order to states (rooms,); tables are columns of each room, (..., rooms or 1)."""
+        """Apply presses in index order to states (rooms,); tables have one column per room, (..., rooms or 1)."""
 
     @abstractmethod
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true where the exit is open, bool (rooms,)."""
+        """Return whether the exit is open, bool (rooms,)."""
 
     def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
-        """Return true where the puzzle has been failed, bool (rooms,); None for a puzzle that cannot be failed."""
+        """Return whether the puzzle has failed, bool (rooms,), or None for a puzzle that cannot fail."""
         return None
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
                        targets: int) -> Tensor | None:
-        """Reward that the puzzle adds to the room's, float32 or float64 (rooms,); None if it adds none.
+        """Return the puzzle's reward in addition to the room's, float32 or float64 (rooms,), or None if it has none.
 
-        It counts where something was pressed or gripped, or where puzzles watch every primitive.
+        It counts in rooms where something was pressed or gripped, and always for puzzles that watch every primitive.
         """
         return None
 
     def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
-        """Return true where an inner door is shut, bool (doors, rooms)."""
+        """Return whether each inner door is shut, bool (doors, rooms)."""
         return torch.zeros((doors, state.shape[0]), dtype=torch.bool, device=state.device)
 
     def encode(self, puzzle: Any, state: Any) -> int:
-        """Turn a puzzle's own state into an unsigned word.
+        """Return the unsigned word of a state of the puzzle.
 
         Raises:
             StateError: the state has no word.
@@ -257,47 +258,48 @@ class TensorPuzzle(ABC):
         return state
 
     def decode(self, puzzle: Any, word: int) -> Any:
-        """Turn an unsigned word into the puzzle's own state."""
+        """Return the puzzle's state of an unsigned word."""
         return word
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Bits of the targets that are on, int64 (rooms,)."""
+        """Return the bits of the targets that are on, int64 (rooms,)."""
         return state
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
-        """The observation numbers, each 0 or 1, float32 (numbers, rooms)."""
+        """Return the observation numbers, each 0 or 1, float32 (numbers, rooms)."""
         return unpack_bits(state, targets, torch.float32)
 
 
 def unpack_bits(words: Tensor, count: int, dtype: torch.dtype) -> Tensor:
-    """Spread the lowest bits of words (rooms,) over a first axis: shape (count, rooms)."""
+    """Unpack the lowest bits of words (rooms,) along a new first axis: shape (count, rooms)."""
     places = torch.arange(count, device=words.device).unsqueeze(1)
     return ((words >> places) & 1).to(dtype)
 
 
 def pack_bits(flags: Tensor) -> Tensor:
-    """Words whose lowest bits are those of the first axis of truth values (count, rooms): int64 (rooms,)."""
+    """Pack truth values (count, rooms) into the lowest bits of words, int64 (rooms,)."""
     return (flags.to(torch.int64) << torch.arange(len(flags), device=flags.device).unsqueeze(1)).sum(0)
 
 
 def as_signed(bits: int) -> int:
-    """The signed 64-bit integer of the same bits."""
+    """Return the signed 64-bit integer with the same bits."""
     return bits - 2**64 if bits >= 2**63 else bits
 
 
 class TabulatedPuzzle(TensorPuzzle):
     """The form of all puzzles with few states: the word is the index of the state in the puzzle's table.
 
-    Tables of different puzzles lie one after another, filled up to a power of two of rows; `first` is the row of each
-    instance's first state. Of O outcomes, that of a chance is the number of an instance's `chances` up to it.
+    Tables of different puzzles are concatenated and padded to a power of two of rows; `first` is the row of each
+    instance's first state. The index of an outcome is the number of the instance's `chances` that do not exceed the
+    random number.
     """
 
     whole = frozenset({"after", "rewards", "observed", "lit", "shut", "solved", "failed"})
 
     def make_tables(self, puzzles: Sequence[Puzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """`after` and `rewards` (events, rows x outcomes), `observed` (numbers, rows), and one number a row.
+        """Return `after` and `rewards` (events, rows x outcomes), `observed` (numbers, rows), and one value per row.
 
-        A table without content has no rows.
+        Tables without content have no rows.
         """
         made = {puzzle: tabulate(puzzle) for puzzle in puzzles}
         tables, targets = list(made.values()), len(frame.target_names)
@@ -357,12 +359,12 @@ class TabulatedPuzzle(TensorPuzzle):
         return torch.where(is_grip, after.view(-1)[place].to(torch.int64), row), reward
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Look up one press after the other, and the grip."""
+        """Look up the presses one after the other, then the grip."""
         return self._walk(tables, state, contacts, targets)[0] - tables["first"]
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
                        targets: int) -> Tensor | None:
-        """Sum of the rewards of presses and grip, float64 (rooms,)."""
+        """Return the sum of the rewards of presses and grip, float64 (rooms,)."""
         return self._walk(tables, before, contacts, targets)[1] if tables["rewards"].shape[-1] else None
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
@@ -370,38 +372,38 @@ class TabulatedPuzzle(TensorPuzzle):
         return tables["solved"][tables["first"] + state]
 
     def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
-        """Return the `failed` flag of each state's row, bool (rooms,); None where no state has failed."""
+        """Return the `failed` flag of each state's row, bool (rooms,), or None if no state is failed."""
         return tables["failed"][tables["first"] + state] if tables["failed"].shape[-1] else None
 
     def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
-        """Return true where the row of the state shuts an inner door, bool (doors, rooms)."""
+        """Return whether the state's row shuts each inner door, bool (doors, rooms)."""
         if not tables["shut"].shape[-1]:
             return super().find_shut(tables, state, doors)
         return unpack_bits(tables["shut"][tables["first"] + state], doors, torch.bool)
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Bits of the lit targets from each state's row, int64 (rooms,)."""
+        """Return the bits of the lit targets in each state's row, int64 (rooms,)."""
         return tables["lit"][tables["first"] + state]
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
-        """Observation numbers from each state's row, float32 (numbers, rooms)."""
+        """Return the observation numbers in each state's row, float32 (numbers, rooms)."""
         return tables["observed"][:, tables["first"] + state]
 
     def encode(self, puzzle: Puzzle, state: Any) -> int:
-        """Index of a state in the puzzle's table."""
+        """Return the index of a state in the puzzle's table."""
         number = tabulate(puzzle).numbers.get(state)
         if number is None:
-            raise StateError(f"no presses or grips lead to the state {show_value(state)} of puzzle {puzzle.kind!r}, "
-                             "and a batch knows only states that they lead to")
+            raise StateError(f"the state {show_value(state)} of puzzle {puzzle.kind!r} is unreachable by presses and "
+                             "grips, and a batch supports reachable states only")
         return number
 
     def decode(self, puzzle: Puzzle, word: int) -> Any:
-        """State at an index of the puzzle's table."""
+        """Return the state at an index of the puzzle's table."""
         return tabulate(puzzle).states[word]
 
 
 def _list_rows(own: int, targets: int) -> list[int]:
-    """Numbers of a puzzle's events among those of a batch with more targets."""
+    """Indices of a puzzle's events among the events of a batch with more targets."""
     presses = list(range(own))
     return presses + [targets + grip * (targets + 1) + touched for grip in range(len(GRIPS))
                       for touched in range(own + 1)]
@@ -416,10 +418,10 @@ _TABULATED = TabulatedPuzzle()
 
 
 def register_tensor_puzzle(puzzle_type: type[Puzzle], form: TensorPuzzle) -> None:
-    """Register the tensor form of a puzzle that has no table, or that runs faster without one."""
+    """Register the tensor form of a puzzle without a table, or one that is faster than the table."""
     _FORMS[puzzle_type.kind] = form
 
 
 def get_tensor_puzzle(kind: str) -> TensorPuzzle:
-    """Return the tensor form of a puzzle: the registered one, or else `TabulatedPuzzle`."""
+    """Return the tensor form of a puzzle: the registered one, otherwise `TabulatedPuzzle`."""
     return _FORMS.get(kind, _TABULATED)

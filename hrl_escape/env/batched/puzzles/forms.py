@@ -1,6 +1,6 @@
 """Tensor forms of puzzles without a table: they have maps, watch every primitive, or have too many states.
 
-The word is the puzzle's own state. The rules, and what is shown, are those of the puzzles' own files.
+The word is the puzzle's own state. Rules and observations equal those in the files of the puzzles.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from hrl_escape.errors import UnsupportedError
 
 
 class _BitTensorPuzzle(TensorPuzzle):
-    """Base of these forms: presses count one after the other, in index order, and the word `goal` is the solution."""
+    """Base class of these forms: presses count in index order, and the word `goal` is the solution."""
 
     @abstractmethod
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
-        """States after a press of one target in every room, int64 (rooms,); `bit` is its own in a word."""
+        """Return the states after a press of one target in every room, int64 (rooms,); `bit` is its bit in a word."""
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         for target in range(targets):
@@ -61,11 +61,11 @@ class _ButtonsTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `ButtonsPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Tables by instance.
+        """Return the tables by instance.
 
-        Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,); where
-        some instance can be failed, the bit for that (instances,); with doors, the button that opens each, -1 where
-        there are fewer (doors, instances).
+        Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,). If some
+        instance can fail, the bit of the failure (instances,). With doors, the index of the button that opens each, -1
+        for absent doors (doors, instances).
         """
         parents, locks = np.zeros((2, len(puzzles), len(frame.target_names)), dtype=np.uint64)
         for number, puzzle in enumerate(puzzles):
@@ -115,7 +115,7 @@ class _BitFlipTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `BitFlipPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[BitFlipPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """The word with all bits on (instances,)."""
+        """Return the word with all bits on (instances,)."""
         return {"goal": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
 
     def press(self, tables: PuzzleTables, state: Tensor, target: int, bit: int) -> Tensor:
@@ -127,7 +127,7 @@ class _LightBoxTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `LightBoxPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[LightBoxPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Bits of each light's parents and of its family (lights, instances), the goal and the chance (instances,)."""
+        """Return bits of each light's parents and of its family (lights, instances), goal and chance (instances,)."""
         parents, families = np.zeros((2, len(frame.target_names), len(puzzles)), dtype=np.int64)
         for number, puzzle in enumerate(puzzles):
             parents[: puzzle.count, number], families[: puzzle.count, number] = puzzle.parent_masks, puzzle.family_masks
@@ -152,7 +152,7 @@ class _LightsOutTensorPuzzle(_BitTensorPuzzle):
     """Tensor form of `LightsOutPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[LightsOutPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Flips of each press (lights, instances), and each goal (instances,)."""
+        """Return the flips of each press (lights, instances), and each goal (instances,)."""
         flips = np.zeros((len(puzzles), len(frame.target_names)), dtype=np.int64)
         for row, puzzle in zip(flips, puzzles, strict=True):
             row[: puzzle.count] = list_flips(puzzle.count, puzzle.columns)
@@ -177,11 +177,11 @@ class _MiniGridTensorPuzzle(TensorPuzzle):
     """Tensor form of `MiniGridPuzzle`; all instances of a batch have equal numbers of doors, keys and balls."""
 
     def make_tables(self, puzzles: Sequence[MiniGridPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Tables by instance.
+        """Return the tables by instance.
 
-        `cells`: cell of each inner door, -1 where there are fewer; `doors`: its door's number, -1 for other cells
-        (inner doors, instances); `locked` doors (doors, instances); `goal`: its cell, `size`: rows and columns of the
-        map (2, instances); `is_ball`, of each thing (things, instances).
+        `cells`: cell of each inner door, -1 for absent ones; `doors`: index of its door, -1 for other cells (inner
+        doors, instances); `locked` doors (doors, instances); `goal`: cell of the goal; `size`: rows and columns of the
+        map (2, instances); `is_ball` of each thing (things, instances).
 
         Raises:
             UnsupportedError: numbers of doors, keys or balls differ.
@@ -190,8 +190,8 @@ class _MiniGridTensorPuzzle(TensorPuzzle):
         first = grids[0]
         if any((len(g.doors), len(g.things), g.keys) != (len(first.doors), len(first.things), first.keys)
                for g in grids):
-            raise UnsupportedError("the levels of a batch need equal numbers of doors, keys and balls: make one "
-                                   "batch for each")
+            raise UnsupportedError("the levels of a batch need equal numbers of doors, keys and balls. Make one batch "
+                                   "per level")
         cells = np.full((max(1, *(len(g.blockable) for g in grids)), len(grids)), -1, dtype=np.int64)
         doors = cells.copy()
         for number, grid in enumerate(grids):
@@ -266,7 +266,7 @@ class _SokobanTensorPuzzle(TensorPuzzle):
     """Tensor form of `SokobanPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[SokobanPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """`cells`: cell of each inner door, -1 for none; `goals`: their cells (goals, instances); `size` of the map."""
+        """Return `cells` of the inner doors, -1 for none, `goals` (goals, instances), and `size` of the map."""
         levels = [puzzle.level for puzzle in puzzles]
         cells = np.full((max(len(level.floor) for level in levels), len(levels)), -1, dtype=np.int64)
         for number, level in enumerate(levels):
@@ -293,7 +293,7 @@ class _SokobanTensorPuzzle(TensorPuzzle):
         return state
 
     def _find_filled(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Return true for each pair of a box and the goal on which it stands, bool (boxes, goals, rooms)."""
+        """Return whether each box is on each goal, bool (boxes, goals, rooms)."""
         return self._list_boxes(tables, state).unsqueeze(1) == tables["goals"].unsqueeze(0)
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
@@ -334,10 +334,10 @@ class _BlocksWorldTensorPuzzle(TensorPuzzle):
     """Tensor form of `BlocksWorldPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[BlocksWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """`wanted`: what each block must stand on, -1 for anything, and `clear` (blocks, instances); `free_hand`.
+        """Return `wanted` supports of blocks, -1 for any, and `clear` (blocks, instances); `free_hand`.
 
-        `counts` are the numbers of blocks. Where they differ, `order` (numbers, instances) says where the observation
-        numbers of each instance are among those of one with most blocks, followed by one that is always 0.
+        `counts` are the numbers of blocks. If they differ, `order` (numbers, instances) maps the observation numbers of
+        each instance to the numbers of the instance with the most blocks, followed by one that is always 0.
         """
         most, counts = len(frame.target_names), [len(puzzle.names) for puzzle in puzzles]
         wanted = [[dict(puzzle.goal).get(block, -1) for puzzle in puzzles] for block in range(most)]
@@ -352,7 +352,7 @@ class _BlocksWorldTensorPuzzle(TensorPuzzle):
                 "counts": np.array(counts, dtype=np.int64), "order": order if min(counts) < most else order[:0]}
 
     def _list_towers(self, tables: PuzzleTables, state: Tensor) -> tuple[Tensor, Tensor]:
-        """Blocks under each, int64 (blocks, rooms), -1 for an absent one, and the blocks' own numbers (blocks, 1)."""
+        """Block under each block, int64 (blocks, rooms), -1 if absent, and the indices of the blocks (blocks, 1)."""
         blocks = torch.arange(tables["wanted"].shape[0], device=state.device).unsqueeze(1)
         return torch.where(blocks < tables["counts"], state >> 4 * blocks & 15, -1), blocks
 
@@ -404,7 +404,7 @@ class _PuddleWorldTensorPuzzle(TensorPuzzle):
     """Tensor form of `PuddleWorldPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[PuddleWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Ends and radius of each puddle, of no size where there are fewer (5, puddles, instances), and the cost."""
+        """Return ends and radius of each puddle, of size 0 if absent (5, puddles, instances), and the cost."""
         most = max(1, *(len(puzzle.areas) for puzzle in puzzles))
         areas = np.zeros((5, most, len(puzzles)), dtype=np.float64)
         for number, puzzle in enumerate(puzzles):
@@ -433,7 +433,7 @@ class _RecipesTensorPuzzle(TensorPuzzle):
     """Tensor form of `RecipesPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[RecipesPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Numbers of the goals (instances,)."""
+        """Return the indices of the goals (instances,)."""
         return {"goal": np.array([NAMES.index(puzzle.goal) for puzzle in puzzles], dtype=np.int64)}
 
     def _count(self, state: Tensor) -> Tensor:
@@ -468,7 +468,7 @@ class _TaxiTensorPuzzle(TensorPuzzle):
     """Tensor form of `TaxiPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[TaxiPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Probability of changing the destination (instances,)."""
+        """Return the probability of changing the destination (instances,)."""
         return {"fickleness": np.array([puzzle.fickleness for puzzle in puzzles], dtype=np.float64)}
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:

@@ -1,5 +1,5 @@
 "use strict";
-// Plays a recorded episode in a room seen from above. Metres, the room's frame, y upwards.
+// Plays a recorded episode in a room seen from above. Metres, room frame, y upwards.
 
 const STILL = window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
@@ -10,13 +10,13 @@ function findLast(changes, frame) {
 }
 
 class Player {
-  // box: where to be; room, replay: as in the page's data; looks: colours; compact: without slider and speed.
+  // box: parent element; room, replay: data of the page; looks: colours; compact: without slider and speed.
   constructor(box, room, replay, looks, compact) {
     Object.assign(this, { box, room, replay, looks });
     this.count = replay.frames.x.length - 1;
     this.time = 0;
     this.playing = false;
-    this.rate = Math.max(5, this.count / 24); // primitives a second: no episode takes longer than 24 seconds
+    this.rate = Math.max(5, this.count / 24); // primitives per second; no episode takes longer than 24 seconds
     this.speed = 1;
     this.ends = [];
     let sum = 0;
@@ -290,7 +290,7 @@ class Player {
     c.font = "600 11px system-ui, sans-serif";
     c.textAlign = "center";
     c.textBaseline = "middle";
-    if (ew > 0 && eh > 0) c.fillText("exit", 0, 0); // a world that is no puzzle has none
+    if (ew > 0 && eh > 0) c.fillText("exit", 0, 0); // a world without a puzzle has none
     c.restore();
     this.room.targets.forEach((target) => {
       c.save();
