@@ -36,23 +36,6 @@ DEFAULT_ROOMS = (RoomSpec("paper-two-button"),)
 
 
 @dataclasses.dataclass(frozen=True)
-class SolvedRule(Settings):
-    """End of a run before its budget: its agent has solved the room.
-
-    It has once two checks of its frozen policy in a row are near the best and, if it learns a dependency graph,
-    that graph is the true one. A random agent, which gets no better, is done with its first escape.
-    """
-
-    _section = "until_solved"
-    score: float
-    """Score near the best, from no escape (0) to the best return of the agent's actions (1)."""
-    check_every: Annotated[int, Range(1, LARGEST, "primitives")] = 500
-    """Between checks of one episode each, from the first escape on."""
-    graph_every: Annotated[int, Range(1, LARGEST, "primitives")] = 100
-    """Between comparisons of the graph."""
-
-
-@dataclasses.dataclass(frozen=True)
 class Grid(Settings):
     """A comparison: every agent in every room with every training seed."""
 
@@ -87,8 +70,6 @@ class Grid(Settings):
     """Vector observation of every agent."""
     trials: Annotated[int, Range(1, 1000)] = 1
     """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `SequenceEnv`."""
-    until_solved: SolvedRule | None = None
-    """Rule that ends a run before its budget; None for none."""
     format: Literal[2] = GRID_FORMAT
     """Version of the fields."""
 
@@ -124,8 +105,6 @@ class Grid(Settings):
         if len(self.test_rooms) not in (1, len(self.train_rooms)):
             raise GridError(f"grid {self.name!r}: {len(self.train_rooms)} train_rooms go with one set of test_rooms, "
                             f"or as many, not {len(self.test_rooms)}")
-        if self.until_solved is not None:
-            raise GridError(f"grid {self.name!r}: until_solved is about one room, not about train_rooms")
         given = [agent.label for agent in self.agents if agent.low_level is not None]
         if self.trials > 1 and given:
             raise GridError(f"grid {self.name!r}: the hierarchy of {given[0]} ends with an episode: give it no trials")
@@ -241,9 +220,8 @@ class GridRun:
             "eval_seed": self.eval_seed,
             "seed": self.seed,
         }
-        rule, trials = self.grid.until_solved, self.grid.trials
-        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None,
-                     "until_solved": None if rule is None else rule.to_dict()}
+        trials = self.grid.trials
+        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None}
         return identity | {name: value for name, value in asked_for.items() if value is not None}
 
     @cached_property

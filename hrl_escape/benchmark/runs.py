@@ -29,7 +29,6 @@ from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.records import record_returns
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.benchmark.score_range import ScoreRange, compute_score_range
-from hrl_escape.benchmark.solved_probe import Solution, SolvedProbe
 from hrl_escape.benchmark.statistics import compute_final, compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -60,7 +59,6 @@ class RunResult:
     from its first evaluation episode."""
     evaluations: tuple[Evaluation, ...]  # the first before training, the last after it; of a reference, one
     score_range: ScoreRange  # best known and worst results, by which its scores are measured
-    solution: Solution | None  # course towards the solution, in grids with `until_solved`
     seconds: tuple[float, ...] = dataclasses.field(compare=False)
     """Of training when each evaluation was made; left out of comparisons."""
     planner_seconds: float = dataclasses.field(compare=False)  # of training, in planners; left out of comparisons
@@ -73,10 +71,10 @@ class RunResult:
     trial_ranges: tuple[ScoreRange, ...] = ()  # their scales
 
     @classmethod
-    def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:
+    def make(cls, budget: int, result: TrainResult, score_range: ScoreRange) -> RunResult:
         """Sum up a finished training run."""
         return cls(budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
-                   result.first_escape, result.evaluations, score_range, solution,
+                   result.first_escape, result.evaluations, score_range,
                    tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions())
 
     @classmethod
@@ -84,7 +82,7 @@ class RunResult:
         """Sum up the evaluation of a reference."""
         waited = np.cumsum(evaluation.lengths)
         escapes = [int(at) for at, success in zip(waited, evaluation.successes, strict=True) if success]
-        return cls(budget, 0, 0, 0, 0, escapes[0] if escapes else None, (evaluation,), score_range, None, (0.0,), 0.0,
+        return cls(budget, 0, 0, 0, 0, escapes[0] if escapes else None, (evaluation,), score_range, (0.0,), 0.0,
                    list_versions())
 
     def get_curve(self, metric: str) -> NDArray[np.float64]:
@@ -273,8 +271,6 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
            score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
     from hrl_escape.agents.training.train import train
 
-    rule = run.grid.until_solved
-    probe = None if rule is None else SolvedProbe(rule, env, place.instance, run.agent, score_range)
     # `run.settings` and the environment hold the rest of the spec.
     chosen = OptionsView(include_primitives=run.agent.options.include_primitives)
     result = train(
@@ -282,13 +278,12 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
         decisions=run.grid.decisions, seed=run.seed, settings=run.settings, eval_env=eval_env,
         eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
-        checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
+        checkpoint_seconds=checkpoint_seconds, progress=False,
         eval_trials=1 if place.split is None else len(list_sets(place.split.test)), observed=False,
     )
     assert result.agent is not None, "a run that this process finished or loaded has its agent"
-    solution = None if probe is None else probe.solution
     budget = min(run.grid.primitives, result.primitives)
-    return result.agent, RunResult.make(budget, result, score_range, solution)
+    return result.agent, RunResult.make(budget, result, score_range)
 
 
 def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]

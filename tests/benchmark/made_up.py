@@ -42,7 +42,7 @@ def make_result(returns: Sequence[float], best: float = BEST, reachable: float |
     score_range = ScoreRange(WORST, start, (best,), (reach,), (fewest,), (fewest_reachable,), source)
     first = next((round(place) for place, value in zip(places, returns, strict=True) if value > WORST), None)
     seconds = tuple(map(float, range(len(returns))))
-    return RunResult(budget, budget, 10 * len(returns), 7, 3, first, evaluations, score_range, None, seconds,
+    return RunResult(budget, budget, 10 * len(returns), 7, 3, first, evaluations, score_range, seconds,
                      0.5, {"torch": "1.0"})
 
 

@@ -1,12 +1,12 @@
-"""Probe that ends a run once its agent has solved the room: near the best return, and the whole graph recovered.
+"""Probe of the scaling study: ends a run once its agent has solved the room.
 
-It notes when the frozen policy first came near the best, and the precision and recall of the agent's believed graph.
+A room is solved when the frozen policy is near the best return twice in a row and the believed graph is the true one.
+The probe records when that happened, and precision and recall of the believed graph over training.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import gymnasium
@@ -17,15 +17,27 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
-from hrl_escape.benchmark.grid import SolvedRule
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.benchmark.statistics import compute_score
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.puzzles.graphs import find_ancestors
+from hrl_escape.env.puzzles.graphs import EdgeSet, find_edges_that_matter, find_target_edges
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
-EdgeSet = frozenset[tuple[int, int]]
-"""Edges of a dependency graph, (parent, child)."""
+__all__ = ["Solution", "SolvedProbe", "SolvedRule", "compare_graphs"]
+
+
+@dataclass(frozen=True)
+class SolvedRule:
+    """When a room counts as solved.
+
+    A random agent does not improve, so its run ends with its first escape.
+    """
+
+    score: float  # near the best: from no escape (0) to the best return of the agent's actions (1)
+    check_every: int = 500
+    """Primitives between checks of one episode each, from the first escape on."""
+    graph_every: int = 100
+    """Primitives between comparisons of the graph."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +52,14 @@ class Solution:
 
 
 class SolvedProbe(Stateful):
-    """Measures whether an agent has solved its room; see `SolvedRule`.
+    """Measures whether an agent has solved its room.
 
-    An agent that learns nothing gets no better, so it is done with its first escape. The policy is checked in `env`,
-    between training episodes; `score_range` is the room's for this agent.
+    Args:
+        rule: see `SolvedRule`.
+        env: environment in which the policy is checked, between training episodes.
+        instance: its room.
+        spec: of the agent.
+        score_range: of the room for this agent.
     """
 
     STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),
@@ -72,7 +88,7 @@ class SolvedProbe(Stateful):
     @property
     def identity(self) -> dict[str, Any]:
         """The rule, as a JSON value."""
-        return {"until_solved": self._rule.to_dict()}
+        return {"until_solved": asdict(self._rule)}
 
     @property
     def is_done(self) -> bool:
@@ -107,33 +123,6 @@ class SolvedProbe(Stateful):
             self._candidate = at
         else:
             self._near_best = self._candidate
-
-
-# --- the graph --------------------------------------------------------------------------------
-
-
-def find_target_edges(graph: EdgeSet, places: Sequence[int]) -> EdgeSet:
-    """Edges among targets, of a graph among the observation's components.
-
-    Args:
-        graph: (parent, child) pairs of components; see `Agent.get_graph`.
-        places: component of each target's light; see `Observer.light_places`.
-    """
-    targets = {place: target for target, place in enumerate(places)}
-    return frozenset((targets[parent], targets[child]) for parent, child in graph
-                     if parent in targets and child in targets)
-
-
-def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:
-    """Edges, of a graph that may have cycles, that some order of presses towards the goals can tell from none.
-
-    Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c, an
-    edge from a to c changes nothing, so no agent can find it.
-    """
-    every = set(edges)
-    ancestors = find_ancestors(every, goals)
-    kept = {(parent, child) for parent, child in every if child in ancestors}
-    return frozenset(edge for edge in kept if edge[0] not in find_ancestors(kept - {edge}, [edge[1]]))
 
 
 def compare_graphs(found: EdgeSet, true: EdgeSet) -> tuple[float, float]:

@@ -8,16 +8,16 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
-from hrl_escape.benchmark.grid import SolvedRule
 from hrl_escape.benchmark.score_range import ScoreRange
-from hrl_escape.benchmark.solved_probe import SolvedProbe, compare_graphs, find_edges_that_matter
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.graphs import find_edges_that_matter
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.settings import Between
 from studies.scaling.results import compute_edge_depth
+from studies.scaling.solved_probe import SolvedProbe, SolvedRule, compare_graphs
 
 
 def test_an_edge_that_a_longer_way_implies_does_not_matter():
