@@ -245,7 +245,7 @@ class DivergenceError(EscapeError, ArithmeticError):
 
 
 class TrustError(EscapeError, ValueError):
-    """A run's folder, or a submission, names code that is neither this package's nor registered; nothing was run.
+    """A run's folder names code that is neither this package's nor registered; nothing was run.
 
     Attributes:
         names: what would be imported, each as `module:name`, or started.

@@ -6,6 +6,8 @@ for a run is resumed by the version that began it. Recordings are converted by `
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
 import tempfile
@@ -21,6 +23,7 @@ from hrl_escape.agents.training.archive import (
     RESULT,
     RUN_ARCHIVE,
     RUN_FILES,
+    ArchiveKind,
     making_folder,
     pack_parts,
     read_parts,
@@ -29,12 +32,14 @@ from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoi
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
 from hrl_escape.agents.training.run_folder import BEST, LAST
 from hrl_escape.agents.training.run_folder import FORMAT as RUN_FORMAT
+from hrl_escape.benchmark.agent_archive import RUN, AgentCard, RoomResult, check_results, write_archive
 from hrl_escape.benchmark.grid import GRID_FORMAT, Grid
-from hrl_escape.benchmark.submission import RUN, SUBMISSION
 from hrl_escape.errors import AgentSettingsError, FileReadError, UnsupportedError
 from hrl_escape.files import open_plain, read_json, read_text, read_toml, write_json, write_text
 from hrl_escape.sets.room_spec import renew_room
 
+_SUBMISSION = ArchiveKind("a submission of version 0.3", re.compile(r"submission\.json|cells\.csv|run\.zip"),
+                          "Only submissions with a training run are converted")
 OLD_RUN_FORMAT = 2
 """Format of the runs of version 0.3."""
 MOVED = {"hrl_escape.agents.algorithms.given.": "hrl_escape.agents.algorithms.task_hierarchies.",
@@ -59,7 +64,7 @@ def convert_file(path: Path, out: Path) -> str:
     """Write a file or folder of version 0.3 in the form of this version.
 
     Args:
-        path: a run's folder or archive, a submission such as a pretrained agent, or a grid (.toml, .json).
+        path: a run's folder or archive, the archive of a trained agent, or a grid (.toml, .json).
         out: what to write; it must not be there.
 
     Returns:
@@ -81,7 +86,7 @@ def convert_file(path: Path, out: Path) -> str:
         return _convert_archive(path, out)
     if not path.exists():
         raise FileReadError(f"{path}: no such file or folder")
-    raise UnsupportedError(f"{path}: convert takes the folder or archive of a run, a submission, or a grid (.toml, "
+    raise UnsupportedError(f"{path}: convert takes the folder or archive of a run, a trained agent, or a grid (.toml, "
                            ".json)")
 
 
@@ -153,7 +158,7 @@ def rename_fields(value: Any) -> Any:
 
 
 def _convert_archive(path: Path, out: Path) -> str:
-    """Convert the archive of a run, or a submission, in which the archive of a run may be."""
+    """Convert the archive of a run, or a submission with the archive of a run in it."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         names = _list_members(path)
@@ -164,16 +169,16 @@ def _convert_archive(path: Path, out: Path) -> str:
             return said
         if "submission.json" not in names:
             raise UnsupportedError(f"{path} is neither the archive of a run nor a submission")
-        read_parts(path, SUBMISSION, ["submission.json"], folder)
-        entry = read_json(folder / "submission.json", "submission")
-        write_json(folder / "submission.json", convert_entry(entry))
-        if RUN in names:
-            packed = folder / "packed.zip"
-            (folder / RUN).rename(folder / "old.zip")
-            _convert_archive(folder / "old.zip", packed)
-            packed.rename(folder / RUN)
-        pack_parts(out, _list_parts(folder, names), SUBMISSION)
-        return f"the submission {entry['card']['name']!r}"
+        if RUN not in names:
+            raise UnsupportedError(f"{path} is a submission without a training run, which the leaderboard in the "
+                                   "source code keeps as a result file; see benchmarks/leaderboard")
+        read_parts(path, _SUBMISSION, ["submission.json", "cells.csv"], folder)
+        card = AgentCard.from_dict(convert_card(read_json(folder / "submission.json", "submission")))
+        results = convert_cells(read_text(folder / "cells.csv", "results of a submission"))
+        check_results(card, results)
+        _convert_archive(folder / RUN, folder / "converted.zip")
+        write_archive(out, card, results, folder / "converted.zip")
+        return f"the trained agent {card.name!r}"
 
 
 def _list_members(path: Path) -> list[str]:
@@ -190,14 +195,23 @@ def _list_parts(folder: Path, names: Iterable[str]) -> dict[str, Path | bytes]:
     return {name: folder / name for name in names}
 
 
-def convert_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Statement of a submission of version 0.3 in the form of this version."""
-    card = entry["card"]
+def convert_card(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Card of a trained agent from the statement of a submission of version 0.3."""
+    card = rename_fields(entry["card"])
     options = card["view"]["options"] if card["view"]["choices"] == "options" else {}
     name = convert_text(card["name"]) if options == {} or not _is_label(card["name"]) else convert_label(
         card["name"], options.get("include_primitives"))
-    return {**rename_fields(entry), "agent": _convert_name(entry["agent"]),
-            "card": {**rename_fields(card), "name": name, "training": convert_text(card["training"])}}
+    same = ("authors", "link", "primitives", "core_hours", "view")
+    return {**{field: card[field] for field in same}, "name": name, "agent": _convert_name(entry["agent"]),
+            "information": card["told"], "training": convert_text(card["training"]),
+            **{field: entry[field] for field in ("benchmark", "rung", "root", "rooms", "package")}}
+
+
+def convert_cells(text: str) -> list[RoomResult]:
+    """Results in the test rooms from the table of a submission of version 0.3."""
+    return [RoomResult(int(row["room"]), row["escaped"] == "1", int(row["primitives"]), int(row["decisions"]),
+                       float(row["total"]), float(row["fewest"]))
+            for row in csv.DictReader(io.StringIO(text)) if row["set"] == "test"]
 
 
 # --- grids -----------------------------------------------------------------------------
@@ -210,6 +224,9 @@ def _convert_grid_file(path: Path, out: Path) -> str:
         raise UnsupportedError(f"{path}: this is no grid, for it has no agents")
     if "format" in content:
         raise UnsupportedError(f"{path}: this grid is of format {content['format']} already")
+    if content.get("until_solved") is not None:
+        raise UnsupportedError(f"{path}: grids have no until_solved any more; give `train` a probe, such as "
+                               "studies/scaling/solved_probe.py of the source code")
     made = {"format": GRID_FORMAT, **convert_grid(content)}
     Grid.from_dict({"agents": made["agents"]})  # refuses what no agent is
     if is_toml:
@@ -224,7 +241,8 @@ def convert_grid(content: Mapping[str, Any]) -> dict[str, Any]:
     """The table of a grid of version 0.3 with the agents and the texts of rooms of this version."""
     rooms = {name: [renew_room(room) for room in content[name]]
              for name in ("rooms", "train_rooms", "test_rooms") if name in content}
-    return {**content, **rooms, "agents": [convert_label(agent) if isinstance(agent, str) else _convert_agent(agent)
+    kept = {name: value for name, value in content.items() if name != "until_solved" or value is not None}
+    return {**kept, **rooms, "agents": [convert_label(agent) if isinstance(agent, str) else _convert_agent(agent)
                                            for agent in content["agents"]]}
 
 

@@ -106,7 +106,7 @@ class Benchmark:
 
     def __init__(self, manifest: Manifest, source: str = "") -> None:
         self.manifest, self.name, self.source = manifest, manifest.name, source or manifest.name
-        self._rungs = {record.name: Rung(manifest.name, record, self.source, manifest.hidden_round, manifest.layouts)
+        self._rungs = {record.name: Rung(manifest.name, record, self.source, manifest.layouts)
                        for record in manifest.rungs}
 
     def __repr__(self) -> str:

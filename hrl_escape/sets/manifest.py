@@ -36,7 +36,7 @@ class SetRecord(Settings):
     skipped: tuple[int, ...] = ()
     """Indices whose rooms look like one of an earlier set, or cannot be generated."""
     seeds: tuple[int, ...] = ()
-    """Explicit instance seeds, in place of those that follow from the names (a revealed hidden test)."""
+    """Explicit instance seeds, in place of the seeds that follow from the names."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,8 +92,6 @@ class Manifest(Settings):
     """Axes of the profile that the benchmark gives, in place of one order; none by default."""
     layouts: Annotated[int, Range(1, LATEST_LAYOUTS)] = 1
     """Version by which rooms look alike: 1 by rounded places, 2 turned or mirrored and within a margin."""
-    hidden_round: Annotated[int, Range(1, 2**63 - 1)] | None = None
-    """Round of drand's quicknet that decides hidden tests, announced before agents are frozen (None: not yet)."""
 
     def save(self, path: str | Path) -> None:
         """Write the manifest as JSON; fields at their defaults are left out."""
