@@ -19,7 +19,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.agent_archive import describe_score
 from hrl_escape.benchmark.comparison import run_grid
 from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid
-from hrl_escape.benchmark.runs import get_training_folder
+from hrl_escape.benchmark.run_results import get_training_folder
 from hrl_escape.sets import load_benchmark
 from studies.unseen import make_streams
 

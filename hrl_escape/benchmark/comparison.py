@@ -21,7 +21,7 @@ from rich.text import Text
 from hrl_escape.benchmark.cost import describe_cost
 from hrl_escape.benchmark.grid import Grid, GridRun, load_grid
 from hrl_escape.benchmark.launching.local import Failure, Launcher, LocalLauncher
-from hrl_escape.benchmark.runs import RunResult, get_run_folder, load_run_result
+from hrl_escape.benchmark.run_results import RunResult, get_run_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
 from hrl_escape.figures import Pictured
 from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json

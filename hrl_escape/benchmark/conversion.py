@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.agents.old_fields import rename_fields
 from hrl_escape.agents.old_specs import MANAGERS, NEW_NAMES, convert_label, refuse_old
 from hrl_escape.agents.registry import split_name
 from hrl_escape.agents.spec import AgentSpec
@@ -42,22 +43,6 @@ _SUBMISSION = ArchiveKind("a submission of version 0.3", re.compile(r"submission
                           "Only submissions with a training run are converted")
 OLD_RUN_FORMAT = 2
 """Format of the runs of version 0.3."""
-MOVED = {"hrl_escape.agents.algorithms.given.": "hrl_escape.agents.algorithms.task_hierarchies.",
-         "hrl_escape.agents.larg2019.": "hrl_escape.agents.keras_rl_2019.",
-         "hrl_escape.agents.label": "hrl_escape.agents.spec",
-         "hrl_escape.comparison.places:RoomSchedule": "hrl_escape.sets.room_schedule:RoomSchedule",
-         **{f"hrl_escape.ladder.{name}:": f"hrl_escape.sets.{name}:"
-            for name in ("common_spaces", "goals", "instance_set", "sequence")},
-         "hrl_escape.synthesis.": "hrl_escape.hierarchies.",
-         "hrl_escape.text.told_env:ToldEnv": "hrl_escape.text.text_env:TextEnv"}
-"""Modules of version 0.3 whose parts have moved."""
-RENAMED = {"hrl_escape.hierarchies.hierarchy_env:HierarchyEnv": {"leaves": "low_level"},
-           "hrl_escape.text.text_env:TextEnv": {"told": "reveal"}}
-"""Arguments of environments and wrappers that have another name now, by class."""
-NEW_FIELDS = {"flavour": "option_set"}
-"""Fields that have another name now, wherever they are."""
-VALUES = {"press-markov": "press-reactive"}
-"""Names of option sets that are others now."""
 
 
 def convert_file(path: Path, out: Path) -> str:
@@ -65,7 +50,7 @@ def convert_file(path: Path, out: Path) -> str:
 
     Args:
         path: a run's folder or archive, the archive of a trained agent, or a grid (.toml, .json).
-        out: what to write; it must not be there.
+        out: what to write.
 
     Returns:
         What was converted, in words.
@@ -74,10 +59,8 @@ def convert_file(path: Path, out: Path) -> str:
         FileReadError: there is no such file, or it cannot be read.
         CheckpointError: a run is damaged.
         UnsupportedError: it holds nothing to convert; the message says why.
-        FileWriteError: `out` is there already, or cannot be written.
+        FileWriteError: `out` cannot be written.
     """
-    if out.exists():
-        raise UnsupportedError(f"{out} is there already: give another --out")
     if path.is_dir():
         return _convert_folder(path, out)
     if path.suffix.lower() in (".toml", ".json"):
@@ -134,24 +117,6 @@ def convert_run_description(described: Mapping[str, Any]) -> dict[str, Any]:
 def _convert_name(name: str) -> str:
     """Name of an agent in a description, which says elsewhere what its choices are."""
     return NEW_NAMES.get(name, name)
-
-
-def rename_fields(value: Any) -> Any:
-    """JSON value with the new places of classes, and the new names of fields, arguments and option sets."""
-    if isinstance(value, list):
-        return [rename_fields(each) for each in value]
-    if isinstance(value, str):
-        for old, new in MOVED.items():
-            if value.startswith(old):
-                return new + value.removeprefix(old)
-        return VALUES.get(value, value)
-    if not isinstance(value, Mapping):
-        return value
-    made = {NEW_FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
-    names = RENAMED.get(made.get("class", ""), {}) if isinstance(made.get("class", ""), str) else {}
-    if names and isinstance(made.get("arguments"), dict):
-        made["arguments"] = {names.get(name, name): each for name, each in made["arguments"].items()}
-    return made
 
 
 # --- archives --------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Grids: the agents, rooms and training seeds of a comparison, as frozen settings that read from TOML.
 
-A grid is data and knows neither processes nor files; `runs.py` executes one run, `launching` all of them. Every
+A grid is data and knows neither processes nor files; `execution.py` executes one run, `launching` all of them. Every
 agent meets the same rooms, seeds and evaluation episodes (a paired design).
 """
 

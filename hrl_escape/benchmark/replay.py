@@ -15,8 +15,8 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.benchmark.agent_archive import RoomResult, RoomView
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.episodes import StateRecorder
-from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.benchmark.score_range import compute_score_range
 from hrl_escape.errors import ConfigError
 from hrl_escape.sets.instance_set import InstanceSet

@@ -43,16 +43,19 @@ class ScoreRange:
 
 
 def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path,
-                        floors: int = 1) -> ScoreRange:
-    """Compute the range for episodes that begin in these states of these rooms, by the actions that an agent has.
+                        parts: int = 1) -> ScoreRange:
+    """Compute the score range of episodes for an agent's actions.
 
-    The folder `cache` keeps what planners have found, for other runs. On each of the `floors` of a tower a part of an
-    episode begins; all share the horizon.
+    Args:
+        starts: room and first state of each episode, or of each room of a sequence.
+        agent: its options decide which escapes are reachable.
+        cache: folder for results of planners, shared by runs.
+        parts: number of rooms in an episode, which share the horizon.
     """
     is_limited = agent.chooses_options and not agent.options.include_primitives
     ends = [_find_ends(*start, agent.options.option_set if is_limited else None, cache) for start in starts]
     instance = starts[0][0]
-    worst = instance.horizon * instance.reward.step / floors
+    worst = instance.horizon * instance.reward.step / parts
     several = len({room.id for room, _ in starts}) > 1
     poses = tuple((state.x, state.y, state.heading_steps, state.heading_offset,
                    *((float(int(room.digest[:12], 16)),) if several else ())) for room, state in starts)

@@ -26,7 +26,7 @@ from hrl_escape.benchmark.inference import (
     compute_interval,
     compute_wilson_interval,
 )
-from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.benchmark.statistics import (
     Floats,
@@ -174,7 +174,7 @@ def summarise(comparison: Comparison) -> Summary:
 def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[FinishedRun]:
     """Raise the best known of each start to the best that a run reached there: return, and fewest primitives.
 
-    In a room with noise, or in a tower with one, nothing is raised, because a lucky episode is no reference.
+    In a room with noise, or in a sequence with one, nothing is raised, because a lucky episode is no reference.
     """
     dynamics, is_expected = instance.dynamics, any(result.score_range.is_expected for _, result in runs)
     if dynamics.is_random or dynamics.kind == "physics" or is_expected:

@@ -1,7 +1,7 @@
-"""Rungs: a room configuration, and sets of rooms to train and test on whose seeds follow from names.
+"""Rungs: a room configuration with training and test sets.
 
-Room i of a set is generated from `derive_seed(benchmark, rung, role, i)`. Where a rung holds out tasks, a tenth of all
-tasks, chosen by their hash, occurs in `test_task` only.
+Room i of a set is generated from the seed `derive_seed(benchmark, rung, role, i)`. If a rung holds out tasks, a tenth
+of all tasks, chosen by their hash, occurs only in `test_task`.
 """
 
 from __future__ import annotations
@@ -20,31 +20,31 @@ from hrl_escape.sets.manifest import ROLES, RungRecord
 
 
 def derive_seed(*words: str | int) -> int:
-    """Instance seed that follows from words: the first 63 bits of SHA-256 over them, joined by slashes."""
+    """Derive an instance seed: the first 63 bits of SHA-256 over the words, joined by slashes."""
     digest = hashlib.sha256("/".join(map(str, words)).encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 
 
 HELD_OUT = 10
-"""One task in this many is kept for `test_task`."""
+"""One task in this many is reserved for `test_task`."""
 
 
 def is_held_out(task: str) -> bool:
-    """Return whether a task, by its key, is kept for `test_task`."""
+    """Return whether a task is reserved for `test_task`, by its key."""
     return int(task[:8], 16) % HELD_OUT == 0
 
 
 class Rung:
-    """One rung: a room configuration, and the sets of rooms to train and test on.
+    """Rung of a benchmark: a room configuration with training and test sets.
 
     Args:
         benchmark: name of the benchmark.
         record: the rung in the manifest.
-        source: name or file by which `load_benchmark` finds it, so that environments of its sets have a `spec`.
-        layouts: version by which rooms look alike, see `Manifest`.
+        source: name or file for `load_benchmark`, which gives environments of its sets a `spec`.
+        layouts: version of layouts, see `Manifest`.
 
     Attributes:
-        isolates: ability that it asks for beyond the rung before.
+        isolates: ability that it requires beyond the previous rung.
         config: room configuration of its rooms.
     """
 
@@ -60,27 +60,27 @@ class Rung:
 
     @cached_property
     def train(self) -> InstanceSet:
-        """Rooms to learn on."""
+        """Training rooms."""
         return self._make("train")
 
     @cached_property
     def valid(self) -> InstanceSet:
-        """Rooms to choose settings by."""
+        """Validation rooms."""
         return self._make("valid")
 
     @cached_property
     def test(self) -> InstanceSet:
-        """Rooms with unseen layouts; their tasks may occur in training, see `record.task_overlap`."""
+        """Test rooms with unseen layouts; some tasks occur in training, see `record.task_overlap`."""
         return self._make("test")
 
     @cached_property
     def test_task(self) -> InstanceSet | None:
-        """Rooms with unseen layouts and unseen tasks; None where the rung has too few tasks to hold some out."""
+        """Test rooms with unseen layouts and tasks; None if the rung has too few tasks to hold out."""
         return None if self.record.test_task is None else self._make("test_task")
 
     @property
     def sets(self) -> dict[str, InstanceSet]:
-        """Sets that the rung has, by role: `train`, `valid`, `test` and, if there is one, `test_task`."""
+        """Sets of the rung by role: `train`, `valid`, `test` and, if present, `test_task`."""
         every = {role: getattr(self, role) for role in ROLES}
         return {role: rooms for role, rooms in every.items() if rooms is not None}
 
@@ -93,7 +93,7 @@ class Rung:
         return InstanceSet(f"{self.benchmark}/{self.name}/{role}", self.config, seeds, place)
 
     def iterate_seeds(self, role: str) -> Iterator[tuple[int, int]]:
-        """Yield (index, seed) of the candidates for a set: all but those whose task belongs elsewhere."""
+        """Yield (index, seed) of the candidates for a set, without tasks that are reserved for another set."""
         for index in itertools.count():
             seed = derive_seed(self.benchmark, self.name, role, index)
             if self.record.test_task is None or (
@@ -103,13 +103,20 @@ class Rung:
 
 def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Container[LayoutKey],
                  layouts: int = 1) -> tuple[list[int], dict[int, RoomKeys]]:
-    """Choose the first seeds, of (index, seed) pairs, whose rooms can be generated and look like none that was seen.
+    """Choose the first seeds whose rooms can be generated and are not alike to a known layout.
+
+    Args:
+        config: room configuration.
+        candidates: (index, seed) pairs, in order.
+        count: number of rooms.
+        seen: known layouts.
+        layouts: version of layouts.
 
     Returns:
-        Indices skipped, and the keys of the rooms chosen, by seed.
+        Skipped indices, and the keys of the chosen rooms by seed.
 
     Raises:
-        EscapeError: almost every candidate must be skipped.
+        EscapeError: almost every candidate was skipped.
     """
     skipped: list[int] = []
     kept: dict[int, RoomKeys] = {}
@@ -126,5 +133,5 @@ def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], coun
             return skipped, kept
         if len(skipped) > 10 * (count + len(kept)):
             break
-    raise EscapeError(f"of the first {len(kept) + len(skipped)} rooms, {len(skipped)} look like known ones or cannot "
-                      "be generated: give the room configuration more room to vary")
+    raise EscapeError(f"of the first {len(kept) + len(skipped)} rooms, {len(skipped)} are alike to known ones or "
+                      "cannot be generated: give the room configuration more room to vary")

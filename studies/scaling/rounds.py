@@ -20,8 +20,8 @@ from typing import Any
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import find_starts, make_agent_env
 from hrl_escape.benchmark.launching.local import get_fork_server
-from hrl_escape.benchmark.runs import find_starts, make_agent_env
 from hrl_escape.benchmark.score_range import compute_score_range
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance

@@ -10,7 +10,7 @@ from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.launching.local import Failure
-from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate

@@ -22,7 +22,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison, Shard, count_missing, read_comparison
 from hrl_escape.benchmark.launching.local import LocalLauncher, read_progress
 from hrl_escape.benchmark.reporting.report import write_report, write_tables
-from hrl_escape.benchmark.runs import get_run_folder, load_run_result, read_episodes
+from hrl_escape.benchmark.run_results import get_run_folder, load_run_result, read_episodes
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.cli import main
 from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.benchmark.inference import compute_interval
-from hrl_escape.benchmark.protocols import compute_ladder_score, compute_learned_share, list_standings, score_standings
+from hrl_escape.benchmark.standings import compute_ladder_score, compute_learned_share, list_standings, score_standings
 from hrl_escape.benchmark.statistics import compute_iqm
 from hrl_escape.benchmark.summary import summarise
 from tests.benchmark.made_up import compare, make_result

@@ -9,11 +9,11 @@ import json
 import pytest
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.benchmark.reporting.report import write_markdown, write_report
-from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.benchmark.verdict import write_verdict
 from hrl_escape.env.config import Between
 from hrl_escape.env.puzzles.base import Panels

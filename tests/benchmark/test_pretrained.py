@@ -74,7 +74,7 @@ def test_a_pretrained_agent_drives_in_the_first_test_room_of_its_rung(name: str)
 
 def test_whatever_names_no_rung_is_its_own_driver(tmp_path: Path):
     assert find_driver(ORACLE) == (ORACLE, None) and find_driver("smdp-dqn") == ("smdp-dqn", None)
-    assert find_driver("tower") == ("tower", None), "no agent comes for it"
+    assert find_driver("sequence") == ("sequence", None), "no agent comes for it"
 
 
 @pytest.mark.nightly

@@ -9,8 +9,8 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid, make_tower_grid
-from hrl_escape.benchmark.runs import make_agent_env, make_player
+from hrl_escape.benchmark.agent_env import make_agent_env, make_player
+from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid, make_sequence_grid
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.cli import main
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
@@ -59,9 +59,9 @@ def test_settings_are_checked_and_decide_the_key(tmp_path: Path):
     assert found[0]["recorded"] != found[1]["recorded"] and spec.is_reference and not spec.learns
 
 
-def test_a_tower_is_refused():
+def test_a_sequence_is_refused():
     with pytest.raises(ConfigError, match="text-agent|text"):
-        make_tower_grid(load_benchmark("ladder-1"), ("pair", "chain"), (UNTRIED,), LadderSettings())
+        make_sequence_grid(load_benchmark("ladder-1"), ("pair", "chain"), (UNTRIED,), LadderSettings())
 
 
 def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path):

@@ -30,7 +30,7 @@ from hrl_escape.benchmark.launching.local import (
     read_progress,
     report_outcome,
 )
-from hrl_escape.benchmark.runs import RunResult, load_run_result
+from hrl_escape.benchmark.run_results import RunResult, load_run_result
 from hrl_escape.errors import ConfigError, MissingExtraError
 
 MOST_QUEUED = 1_000

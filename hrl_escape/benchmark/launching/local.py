@@ -1,6 +1,6 @@
 """Launcher on this machine: runs in parallel, each in a process of its own, with a listener for their outcomes.
 
-A run that raises, is killed or crashes its interpreter fails alone. Results travel through files (`runs.py`), so
+A run that raises, is killed or crashes its interpreter fails alone. Results travel through files (`run_results.py`), so
 nothing is lost with this process. The caller decides which runs are still to be made.
 """
 
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hrl_escape.benchmark.grid import GridRun
-from hrl_escape.benchmark.runs import RunResult, get_run_folder, get_training_folder, load_run_result
+from hrl_escape.benchmark.run_results import RunResult, get_run_folder, get_training_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError
 
 TICK_SECONDS = 0.5

@@ -24,8 +24,9 @@ import hrl_escape.agents.training.train
 import hrl_escape.options.best_with_options
 import hrl_escape.options.memory
 import hrl_escape.options.options_env  # noqa: F401  # preloaded, like those above, for the processes forked from here
+from hrl_escape.benchmark.execution import execute_run
 from hrl_escape.benchmark.grid import GridRun
-from hrl_escape.benchmark.runs import execute_run, get_run_folder
+from hrl_escape.benchmark.run_results import get_run_folder
 from hrl_escape.errors import EscapeError, FileWriteError, RunBusyError
 from hrl_escape.files import make_folder, open_for_writing
 from hrl_escape.processes import die_with_parent

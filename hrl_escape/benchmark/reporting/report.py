@@ -31,7 +31,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.inference import Estimate, Pair, is_better
 from hrl_escape.benchmark.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
-from hrl_escape.benchmark.runs import RunResult, get_room_file, get_training_folder, read_episodes
+from hrl_escape.benchmark.run_results import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.benchmark.statistics import compute_iqm, compute_score
 from hrl_escape.benchmark.summary import PROFILE, AgentSummary, Curve, RoomSummary, Summary, summarise
 from hrl_escape.benchmark.verdict import Sentence, find_leader, write_verdict

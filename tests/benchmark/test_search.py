@@ -1,4 +1,4 @@
-"""Searchers without learning, against what exhaustive play of every graph of a family in one room gives."""
+"""Baselines without learning, against what exhaustive play of every graph of a family in one room gives."""
 
 from __future__ import annotations
 
@@ -13,23 +13,21 @@ import pytest
 from benchmarks.references import compute_entropy, measure_information
 from hrl_escape.agents.spec import BAYES, SEARCH_BACKTRACK, SEARCH_NEAREST, SEARCH_RANDOM, SWEEP_RANDOM, AgentSpec
 from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.references import bayes
-from hrl_escape.benchmark.references.bayes import (
-    BeliefGraph,
+from hrl_escape.benchmark.references.bayes import find_own_config, measure_paths
+from hrl_escape.benchmark.references.belief_graph import BeliefGraph, PathLengths
+from hrl_escape.benchmark.references.graph_family import (
     GraphFamily,
-    GraphParticles,
-    Ways,
-    condition_on_marks,
+    condition_on_cues,
     condition_on_room,
-    find_own_config,
     iterate_outcomes,
     list_graphs,
     make_family,
-    measure_ways,
 )
+from hrl_escape.benchmark.references.graph_particles import GraphParticles
 from hrl_escape.benchmark.references.registry import make_reference
-from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import QUIET
@@ -64,7 +62,7 @@ def relabel(room: RoomInstance, order: tuple[int, ...], rule: ViolationRule = "i
 
 
 @pytest.mark.parametrize("name", [SEARCH_RANDOM, SEARCH_NEAREST])
-def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: str):
+def test_a_baseline_never_tries_again_what_failed_under_the_same_lights(name: str):
     room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1))
     _, decisions = play(name, room)
     order, number, failed = ["press-button-3", "press-button-1", "press-button-4", "press-button-2"], 0, set()
@@ -162,9 +160,9 @@ def test_the_room_configuration_of_a_room_is_the_one_that_draws_its_puzzle():
 @pytest.mark.nightly_for("6")
 @pytest.mark.parametrize("count", range(1, 7))
 def test_a_chain_takes_the_presses_that_are_known_exactly(count: int):
-    """With one primitive a press, a chain of n needs n(n + 3)/4 presses in the mean and no searcher fewer."""
+    """With one primitive a press, a chain of n needs n(n + 3)/4 presses in the mean and no baseline fewer."""
     graph = BeliefGraph(make_family(ButtonsConfig(count=count), count))
-    costs = graph.solve(Ways(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))
+    costs = graph.solve(PathLengths(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))
     assert costs[graph.root] == pytest.approx(count * (count + 3) / 4)
 
 
@@ -204,7 +202,7 @@ def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: Any, kind:
     ways, leaving = rng.uniform(1, 20, (4, 3)), rng.uniform(1, 20, 3)
     graph = BeliefGraph(family)
     for failure in (5.0, 100.0):
-        made = Ways(ways, np.tile(np.arange(3), (4, 1)), np.append(leaving, 0.0), failure)
+        made = PathLengths(ways, np.tile(np.arange(3), (4, 1)), np.append(leaving, 0.0), failure)
         assert graph.solve(made)[graph.root, 3] == pytest.approx(search(family, ways, leaving, failure), rel=1e-5)
 
 
@@ -243,7 +241,7 @@ def test_over_all_graphs_of_a_room_who_knows_the_odds_needs_least_and_what_was_f
 def foretell(room: RoomInstance, puzzle: Any) -> float:
     """Expected primitives from the start, by the pass over beliefs."""
     planner, count = RoomPlanner(room), len(room.targets)
-    graph, ways = BeliefGraph(make_family(puzzle, count)), measure_ways(RoomPlanner(room))
+    graph, ways = BeliefGraph(make_family(puzzle, count)), measure_paths(RoomPlanner(room))
     costs, start, root = graph.solve(ways), planner.rules.make_state(room.starts[0]), np.array([graph.root])
     return min(planner.plan(start, f"press-button-{button + 1}").cost
                + graph.compute_costs_after(costs, root, button, ways)[0, count * count + button]
@@ -281,7 +279,7 @@ def make_marked(count: int, kind: GraphKind = "chain", **marks: Any) -> ButtonsC
 def count_presses(family: GraphFamily) -> float:
     """Fewest expected presses, one primitive each."""
     graph, count = BeliefGraph(family), family.count
-    return float(graph.solve(Ways(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))[graph.root, 0])
+    return float(graph.solve(PathLengths(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))[graph.root, 0])
 
 
 @pytest.mark.parametrize(("truth", "presses"), [(1.0, 4.0), (0.0, 7.0)])
@@ -290,7 +288,7 @@ def test_wires_save_every_wrong_press_and_hidden_ones_none(truth: float, presses
     config = dataclasses.replace(make_marked(4), marks=MarksConfig("wires", truth=truth))
     for seed in range(12):
         puzzle = config.make_puzzle(np.random.default_rng(seed))
-        told = condition_on_marks(make_family(config, 4), config.marks, puzzle.marks)
+        told = condition_on_cues(make_family(config, 4), config.marks, puzzle.marks)
         assert count_presses(told) == pytest.approx(presses)
         assert told.weights[(told.parents == np.array(puzzle.parent_masks, np.uint64)).all(axis=1)].sum() > 0
     assert compute_entropy(told) == pytest.approx(np.log2(24) if truth == 0 else 0, abs=1e-9)
@@ -313,7 +311,7 @@ def test_marks_are_worth_what_follows_by_hand(truth: float):
         ranks = np.array([[0, 1] if goal == 1 else [1, 0] for goal in family.goals])
         likelihood = config.marks.compute_likelihood(marks, ranks).mean()
         if likelihood:
-            expected += likelihood * count_presses(condition_on_marks(family, config.marks, marks))
+            expected += likelihood * count_presses(condition_on_cues(family, config.marks, marks))
     assert expected == pytest.approx(2 + (1 - truth) / 2)
 
 
@@ -323,8 +321,8 @@ def test_motifs_cost_the_presses_that_find_out_which_holds(motifs: int, presses:
     rules = MarksConfig("rank", levels=3, symbols=9, motifs=motifs)
     family = make_family(make_marked(3, levels=3, symbols=9), 3)
     marks = rules.draw(3, ((0, 1), (1, 2)), 2, np.random.default_rng(0))
-    assert count_presses(condition_on_marks(family, rules, marks)) == pytest.approx(presses)
-    with pytest.raises(UnsupportedError, match="know one motif") if motifs > 1 else nullcontext():
+    assert count_presses(condition_on_cues(family, rules, marks)) == pytest.approx(presses)
+    with pytest.raises(UnsupportedError, match="latent codes with") if motifs > 1 else nullcontext():
         GraphParticles(make_marked(7, levels=3, symbols=9, motifs=motifs), 7, np.random.default_rng(0), (0,) * 7)
 
 
@@ -334,10 +332,10 @@ def test_true_marks_leave_a_chain_its_buttons_or_the_rest_of_its_search(levels: 
     config = make_marked(5, levels=levels, symbols=5)
     puzzle = config.make_puzzle(np.random.default_rng(1))
     family = make_family(config, 5)
-    told = condition_on_marks(family, config.marks, puzzle.marks)
+    told = condition_on_cues(family, config.marks, puzzle.marks)
     assert count_presses(told) == pytest.approx(presses)
     shuffled = dataclasses.replace(config.marks, shuffled=True)
-    assert condition_on_marks(family, shuffled, puzzle.marks) is family
+    assert condition_on_cues(family, shuffled, puzzle.marks) is family
 
 
 def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
@@ -355,7 +353,7 @@ def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
         assert 0 < told <= hidden and (kind == "tree" or told == pytest.approx(hidden) == pytest.approx(np.log2(24)))
         bare = dataclasses.replace(puzzle, sections=SectionsConfig())
         assert measure_information(bare, rooms)[0] == pytest.approx(0)
-    with pytest.raises(UnsupportedError, match="do not know where buttons hang"):
+    with pytest.raises(UnsupportedError, match="sections with"):
         GraphParticles(dataclasses.replace(puzzle, count=7), 7, np.random.default_rng(0))
 
 
@@ -388,13 +386,13 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     monkeypatch.setattr(bayes, "find_own_config", lambda room: config)  # the room's name is that of another
     room = relabel(generate(config, 5), (1, 0, 2))
     env, recorder = make_agent_env(AgentSpec(BAYES), room, "features")
-    searcher = make_reference(BAYES, env, recorder)
+    baseline = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
-    searcher.act(observation, info["action_mask"] != 0)
+    baseline.act(observation, info["action_mask"] != 0)
     recorder.states.append(recorder.states[-1]._replace(puzzle=0b010, touching=0b011))
     recorder.events.append(QUIET._replace(pressed=0b011, turned_on=0b010))
-    searcher.act(observation, info["action_mask"] != 0)
-    assert list(searcher.describe_presses().values()) == ["lights with 50%", "lit", "lights with 50%"]
+    baseline.act(observation, info["action_mask"] != 0)
+    assert list(baseline.describe_presses().values()) == ["lights with 50%", "lit", "lights with 50%"]
     env.close()
 
 
@@ -403,10 +401,10 @@ def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
     rooms = load_benchmark("marks-4")[rung].test[:1]
     env, recorder = make_agent_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
-    searcher: Any = make_reference(BAYES, env, recorder)
+    baseline: Any = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
-    searcher.act(observation, info["action_mask"] != 0)
-    assert searcher._mind._graph is not None
+    baseline.act(observation, info["action_mask"] != 0)
+    assert baseline._posterior._graph is not None
     assert len(make_family(rooms.config.puzzle, 5).weights) == graphs
     env.close()
 
@@ -418,7 +416,7 @@ def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
         config = make_marked(5, "layered", levels=4, symbols=12, truth=truth)
         for _ in range(3):
             puzzle = config.make_puzzle(rng)
-            family = condition_on_marks(make_family(config, 5), config.marks, puzzle.marks)
+            family = condition_on_cues(make_family(config, 5), config.marks, puzzle.marks)
             particles = GraphParticles(config, 5, np.random.default_rng(0), puzzle.marks)
             could_light = (family.parents & np.uint64(31)) == 0
             assert particles.compute_odds(0) == pytest.approx(family.weights @ could_light, abs=0.12)
