@@ -1,4 +1,4 @@
-"""Environment of an agent in a comparison: the room or set of rooms, with options, memory and trials around it."""
+"""Environments of agents in comparisons: rooms with options, memory, trials and a recorder."""
 
 from __future__ import annotations
 
@@ -26,11 +26,19 @@ from hrl_escape.sets.sequence import SequenceEnv, compute_room_seed
 def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str,
              schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
-    """The environment an agent acts in, and the recorder inside it; of a sequence the one in the first room.
+    """Make the environment of an agent and the recorder inside it.
 
-    Every episode draws a room of a set, but for those in the schedule, whose numbers, by their seeds, go round the set,
-    or each set of a sequence (see `RoomSchedule`). In `common` spaces rooms of several configurations look alike. An
-    episode has several `trials` in the same room; see `SequenceEnv`.
+    Args:
+        agent: spec of the agent.
+        rooms: a room, a set, a sequence, or fresh rooms.
+        observation: name of the observation.
+        schedule: episode seed -> number of the room in the set, or in each set of a sequence; other episodes draw a
+            room.
+        common: common spaces of rooms of several configurations.
+        trials: number of trials in the same room per episode.
+
+    Returns:
+        The environment, and its recorder; of a sequence the recorder of the first room.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
@@ -63,7 +71,7 @@ def _add_trials(env: gymnasium.Env, trials: int) -> gymnasium.Env:
 
 def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymnasium.Env:
     from hrl_escape.options.memory import DecisionMemory
-    from hrl_escape.options.options_env import OptionsEnv  # brings the planners in
+    from hrl_escape.options.options_env import OptionsEnv  # loads the planners
 
     arguments = agent.options.to_dict()
     has_memory = arguments.pop("memory")
@@ -77,7 +85,7 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-    """Make an agent without training, a reference or the caller of tools, for an environment of `make_agent_env`."""
+    """Make an agent without training, a reference or the text agent, for an environment of `make_agent_env`."""
     if agent.name != TEXT_AGENT:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model
@@ -87,7 +95,7 @@ def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -
 
 def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
                  ) -> list[tuple[RoomInstance, RoomState]]:
-    """Room and first state of the episodes of these seeds; of a sequence those of every room."""
+    """Return room and first state of the episodes of these seeds; of a sequence for every room."""
     if isinstance(env, SequenceEnv):
         return [start for seed in seeds for place, part in enumerate(env.parts)
                 for start in find_starts(part, find_recorder(part), [compute_room_seed(seed, place)])]

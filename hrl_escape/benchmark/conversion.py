@@ -1,7 +1,7 @@
-"""Files of version 0.3 in the form of this version: agent labels become specs, and renamed fields follow.
+"""Conversion of runs, trained agents and grids of version 0.3: agent labels become specs, and fields are renamed.
 
-Runs keep their weights, curves and settings. A run is loaded, watched, recorded and packed again; it is not resumed,
-for a run is resumed by the version that began it. Recordings are converted by `data/convert.py`.
+Runs keep their weights, curves and settings. A converted run can be loaded, watched, recorded and packed, but not
+resumed. `data/convert.py` converts recordings.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ OLD_RUN_FORMAT = 2
 
 
 def convert_file(path: Path, out: Path) -> str:
-    """Write a file or folder of version 0.3 in the form of this version.
+    """Convert a file or folder of version 0.3 to this version.
 
     Args:
         path: a run's folder or archive, the archive of a trained agent, or a grid (.toml, .json).
         out: what to write.
 
     Returns:
-        What was converted, in words.
+        Description of the converted file.
 
     Raises:
         FileReadError: there is no such file, or it cannot be read.
         CheckpointError: a run is damaged.
-        UnsupportedError: it holds nothing to convert; the message says why.
+        UnsupportedError: the file is of another kind or version.
         FileWriteError: `out` cannot be written.
     """
     if path.is_dir():
@@ -79,7 +79,7 @@ def convert_file(path: Path, out: Path) -> str:
 def _convert_folder(path: Path, out: Path) -> str:
     if not (path / DESCRIBED).is_file():
         if (path / "grid.json").is_file():
-            raise UnsupportedError(f"{path} is a comparison: its results count for version 0.3 alone. Convert "
+            raise UnsupportedError(f"{path} is a comparison: its results belong to version 0.3. Convert "
                                    f"{path / 'grid.json'} and run it; training folders in it convert one by one")
         raise UnsupportedError(f"{path} holds no run: there is no {DESCRIBED}")
     with making_folder(out) as made:
@@ -91,7 +91,7 @@ def _convert_folder(path: Path, out: Path) -> str:
 
 
 def _convert_run(folder: Path, where: Path) -> str:
-    """Convert the run in a folder that nobody else uses."""
+    """Convert the run in a temporary folder, in place."""
     described = read_json(folder / DESCRIBED, "description of a run")
     if not isinstance(described, dict) or described.get("format") != OLD_RUN_FORMAT:
         found = described.get("format") if isinstance(described, dict) else None
@@ -109,13 +109,13 @@ def _convert_run(folder: Path, where: Path) -> str:
 
 
 def convert_run_description(described: Mapping[str, Any]) -> dict[str, Any]:
-    """The description of a run of version 0.3 in the form of this version."""
+    """Convert the description of a run of version 0.3."""
     made = rename_fields(described)
     return {**made, "format": RUN_FORMAT, "name": _convert_name(described["name"])}
 
 
 def _convert_name(name: str) -> str:
-    """Name of an agent in a description, which says elsewhere what its choices are."""
+    """Convert the name of an agent in a description, whose options are in other fields."""
     return NEW_NAMES.get(name, name)
 
 
@@ -161,7 +161,7 @@ def _list_parts(folder: Path, names: Iterable[str]) -> dict[str, Path | bytes]:
 
 
 def convert_card(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Card of a trained agent from the statement of a submission of version 0.3."""
+    """Convert the card of a submission of version 0.3."""
     card = rename_fields(entry["card"])
     options = card["view"]["options"] if card["view"]["choices"] == "options" else {}
     name = convert_text(card["name"]) if options == {} or not _is_label(card["name"]) else convert_label(
@@ -173,7 +173,7 @@ def convert_card(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def convert_cells(text: str) -> list[RoomResult]:
-    """Results in the test rooms from the table of a submission of version 0.3."""
+    """Convert the table of results of a submission of version 0.3."""
     return [RoomResult(int(row["room"]), row["escaped"] == "1", int(row["primitives"]), int(row["decisions"]),
                        float(row["total"]), float(row["fewest"]))
             for row in csv.DictReader(io.StringIO(text)) if row["set"] == "test"]
@@ -193,7 +193,7 @@ def _convert_grid_file(path: Path, out: Path) -> str:
         raise UnsupportedError(f"{path}: grids have no until_solved any more; give `train` a probe, such as "
                                "studies/scaling/solved_probe.py of the source code")
     made = {"format": GRID_FORMAT, **convert_grid(content)}
-    Grid.from_dict({"agents": made["agents"]})  # refuses what no agent is
+    Grid.from_dict({"agents": made["agents"]})  # raises for unknown agents
     if is_toml:
         comments = [line for line in read_text(path, "grid").splitlines() if line.startswith("#")]
         write_text(out, "".join(f"{line}\n" for line in comments) + write_toml(made))
@@ -203,7 +203,7 @@ def _convert_grid_file(path: Path, out: Path) -> str:
 
 
 def convert_grid(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a grid of version 0.3 with the agents and the texts of rooms of this version."""
+    """Convert the table of a grid of version 0.3."""
     rooms = {name: [renew_room(room) for room in content[name]]
              for name in ("rooms", "train_rooms", "test_rooms") if name in content}
     kept = {name: value for name, value in content.items() if name != "until_solved" or value is not None}
@@ -212,7 +212,7 @@ def convert_grid(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _convert_agent(agent: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of an agent: an agent over options chose primitives too, where nothing else is said."""
+    """Convert the table of an agent; agents over options also chose primitives by default."""
     name, recipe = agent.get("name", "random"), agent.get("recipe", "corrected")
     options = dict(agent.get("options", {}))
     spec = AgentSpec.parse(convert_label(f"{name}@{recipe}", options.pop("include_primitives", True)))
@@ -245,7 +245,7 @@ _WORD = re.compile(r"(?<![\w+@/.-])[a-z0-9-]+(?:@[a-z0-9-]+)?(?:\+[a-z-]+)*(?![\
 
 
 def _is_label(word: str) -> bool:
-    """Return whether a word is a label of version 0.3 that has another text now."""
+    """Return whether a word is a label of version 0.3 with a new spec."""
     try:
         refuse_old(word)
     except AgentSettingsError:
@@ -254,13 +254,13 @@ def _is_label(word: str) -> bool:
 
 
 def convert_text(text: str) -> str:
-    """Text, such as a command, in which each label of version 0.3 is the spec of this version."""
+    """Replace each label of version 0.3 in a text, such as a command, by its spec."""
     return _WORD.sub(lambda match: convert_label(match[0]) if _is_label(match[0]) and match[0] != "planner"
                      else match[0], text)
 
 
 def write_toml(value: Mapping[str, Any]) -> str:
-    """TOML document of a table of JSON values; tables in it are written inline."""
+    """Format a table of JSON values as TOML, with inline tables."""
     return "".join(f"{_write_key(name)} = {_write(each)}\n" for name, each in value.items() if each is not None)
 
 

@@ -29,7 +29,13 @@ from hrl_escape.sets.room_sequence import RoomSequence, list_sets
 
 
 def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
-    """Bring a run to its end, from where it was last stopped, in the comparison's folder, which holds the room."""
+    """Execute a run of a comparison, or resume it.
+
+    Args:
+        run: the run.
+        out: folder of the comparison, which holds the room.
+        checkpoint_seconds: time between checkpoints.
+    """
     folder, place = get_run_folder(out, run), RunPlace.load(out / "rooms", run.place_id)
     agent, grid = run.agent, run.grid
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
@@ -52,7 +58,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         record_returns(starts, score_range.best, value.evaluations, run.source)
         if grid.trials > 1 and place.split is not None:
             value = _try_several_times(run, out, player, place.split, common, order, value)
-        drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
+        drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # in the pictured room
         episodes = [] if parts > 1 else [record_episode(player, env, seed).to_json() for seed in drawn]
     finally:
         env.close()
@@ -61,7 +67,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
 
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
-    """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
+    """Return the common spaces of training and test rooms; None if they are equal."""
     if not split.is_transfer or (agent.is_reference and not isinstance(split.test, RoomSequence)):
         return None
     envs = [make_agent_env(agent, rooms, observation)[0] for rooms in split.sets]
@@ -74,7 +80,7 @@ def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> Com
 
 def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPlace, common: CommonSpaces | None,
                   score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
-    """Train in one set of rooms, with evaluations in another, and evaluate in rooms of the first at the end."""
+    """Train in one set of rooms with evaluations in another, and evaluate in training rooms at the end."""
     assert place.split is not None
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
     order, parts = {str(seed): n for n, seed in enumerate(seeds)}, len(list_sets(place.split.train))
@@ -94,7 +100,7 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
 
 def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, common: CommonSpaces | None,
                        order: Mapping[str, int], value: RunResult) -> RunResult:
-    """Evaluate every trial of episodes with several in the rooms to be tested in."""
+    """Evaluate every trial of episodes with several trials in the test rooms."""
     trials, starts = run.grid.trials, []
     env, recorder = make_agent_env(run.agent, split.test, run.grid.observation, order, common, trials)
     room: Any = env.unwrapped

@@ -1,4 +1,4 @@
-"""Test rooms played by a frozen agent, one episode each, equal to the last bit whenever they are played."""
+"""Replay of test rooms by a frozen agent, one reproducible episode each."""
 
 from __future__ import annotations
 

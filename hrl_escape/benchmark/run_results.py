@@ -25,46 +25,46 @@ from hrl_escape.version import __version__, find_versions
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of one run; its `GridRun` says which."""
+    """Result of one run of a grid."""
 
-    budget: int  # primitives it was to train for; those it did train for where it ended early
-    primitives: int  # trained for; a last option may carry it beyond the budget
+    budget: int  # training budget in primitives; the primitives trained for if it ended early
+    primitives: int  # trained for; the last option can exceed the budget
     decisions: int  # trained for
     episodes: int  # trained for
-    planner_calls: int  # behind options, in training
+    planner_calls: int  # of options, in training
     first_escape: int | None
-    """Primitives at the end of the first training episode that escaped; None if none did. A reference's are counted
-    from its first evaluation episode."""
-    evaluations: tuple[Evaluation, ...]  # the first before training, the last after it; of a reference, one
-    score_range: ScoreRange  # best known and worst results, by which its scores are measured
+    """Primitives at the end of the first successful training episode, or None. A reference counts from its first
+    evaluation episode."""
+    evaluations: tuple[Evaluation, ...]  # the first before training, the last after it; one for a reference
+    score_range: ScoreRange  # scale of its scores
     seconds: tuple[float, ...] = dataclasses.field(compare=False)
-    """Of training when each evaluation was made; left out of comparisons."""
-    planner_seconds: float = dataclasses.field(compare=False)  # of training, in planners; left out of comparisons
+    """Training time at each evaluation; ignored by `==`."""
+    planner_seconds: float = dataclasses.field(compare=False)  # training time in planners; ignored by `==`
     versions: Mapping[str, str] = dataclasses.field(compare=False)
-    """Of the packages that made it; left out of comparisons."""
-    seen: Evaluation | None = None  # last evaluation in rooms that were trained in, where others were tested in
+    """Versions of packages; ignored by `==`."""
+    seen: Evaluation | None = None  # final evaluation in training rooms, for runs with other test rooms
     seen_range: ScoreRange | None = None  # its scale
     trials: tuple[Evaluation, ...] = ()
-    """Evaluation of each trial at the end, over all test rooms, if rooms are tried several times."""
+    """Final evaluation of each trial over all test rooms, for grids with trials."""
     trial_ranges: tuple[ScoreRange, ...] = ()  # their scales
 
     @classmethod
     def make(cls, budget: int, result: TrainResult, score_range: ScoreRange) -> RunResult:
-        """Sum up a finished training run."""
+        """Make the result of a finished training run."""
         return cls(budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
                    result.first_escape, result.evaluations, score_range,
                    tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions())
 
     @classmethod
     def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange) -> RunResult:
-        """Sum up the evaluation of a reference."""
+        """Make the result of a reference from its evaluation."""
         waited = np.cumsum(evaluation.lengths)
         escapes = [int(at) for at, success in zip(waited, evaluation.successes, strict=True) if success]
         return cls(budget, 0, 0, 0, 0, escapes[0] if escapes else None, (evaluation,), score_range, (0.0,), 0.0,
                    list_versions())
 
     def get_curve(self, metric: str) -> NDArray[np.float64]:
-        """`primitives`, `decisions`, `seconds`, `efficiency` or a mean of `Evaluation`, at every evaluation."""
+        """Return a metric at every evaluation: `primitives`, `decisions`, `seconds`, `efficiency` or a mean."""
         if metric == "seconds":
             return np.array(self.seconds)
         if metric == "efficiency":
@@ -73,23 +73,23 @@ class RunResult:
 
     @property
     def seen_efficiency(self) -> float | None:
-        """Efficiency at the end in rooms that were trained in; None without others to be tested in."""
+        """Final efficiency in training rooms; None without separate test rooms."""
         if self.seen is None or self.seen_range is None:
             return None
         return _compute_efficiency(self.seen, self.seen_range)
 
     @property
     def trial_efficiencies(self) -> NDArray[np.float64]:
-        """Efficiency at the first, second, ... trial in rooms not seen before; empty without trials."""
+        """Efficiency at each trial in test rooms; empty without trials."""
         return np.array([_compute_efficiency(*scored) for scored in zip(self.trials, self.trial_ranges, strict=True)])
 
     def get_final(self, metric: str) -> float:
-        """Mean of a curve over the last fifth of the budget; see `compute_final`."""
+        """Return the mean of a curve over the last fifth of the budget; see `compute_final`."""
         return compute_final(self.get_curve("primitives"), self.get_curve(metric), self.budget)
 
     @property
     def is_stuck(self) -> bool:
-        """No evaluation episode succeeded in the last fifth of the budget."""
+        """Whether no evaluation episode succeeded in the last fifth of the budget."""
         return self.get_final("success_rate") == 0.0
 
 
@@ -99,7 +99,11 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
 
 
 def load_run_result(out: Path, run: GridRun) -> RunResult | None:
-    """The result of a finished run, None if it is not finished; `FileReadError` where it is damaged or another's."""
+    """Read the result of a run; None if it is not finished.
+
+    Raises:
+        FileReadError: the result is damaged or belongs to another run.
+    """
     path = get_run_folder(out, run) / "run_result.json"
     if not path.exists():
         return None
@@ -115,25 +119,29 @@ def load_run_result(out: Path, run: GridRun) -> RunResult | None:
 
 
 def read_episodes(out: Path, run: GridRun) -> list[dict[str, Any]]:
-    """The recorded episodes of a finished run, see `record_episode`; `FileReadError` where they are missing."""
+    """Read the recorded episodes of a finished run, see `record_episode`.
+
+    Raises:
+        FileReadError: they are missing.
+    """
     return read_json(get_run_folder(out, run) / "episodes.json", "record of episodes")
 
 
 def list_versions() -> dict[str, str]:
-    """Versions of what decides the numbers."""
+    """Return the versions of Python, this package and the libraries that decide numbers."""
     return {"python": platform.python_version(), "hrl-escape": __version__, **find_versions()}
 
 
 def get_run_folder(out: Path, run: GridRun) -> Path:
-    """Folder of a run's files."""
+    """Return the folder of a run."""
     return out / "runs" / run.folder
 
 
 def get_training_folder(out: Path, run: GridRun) -> Path:
-    """Folder of a run's training: log, checkpoint and result."""
+    """Return the folder of a run's training: log, checkpoint and result."""
     return get_run_folder(out, run) / "training"
 
 
 def get_room_file(out: Path, instance_id: str) -> Path:
-    """File of a room."""
+    """Return the file of a room."""
     return out / "rooms" / f"{instance_id}.json"

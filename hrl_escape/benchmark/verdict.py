@@ -1,8 +1,8 @@
-"""Verdict of a comparison in plain words: no more than its runs support.
+"""Verdict of a comparison in sentences.
 
-Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
-test says so after correction for all pairs of agents (`inference.py`). With fewer than `LEAST_RUNS` pairs of runs the
-sentences give estimates and intervals, and call nothing better. Labels of agents are between backticks.
+Pure functions from a `Summary` to sentences. An agent is called better than another only if a paired test is
+significant after correction for all pairs of agents (`inference.py`). With fewer than `LEAST_RUNS` pairs of runs the
+sentences give estimates and intervals only. Labels of agents are between backticks.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from hrl_escape.benchmark.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
 
 MOST_LABELS = 4
-"""Agents that a headline names."""
+"""Largest number of agents in a headline."""
 SETTLED = 0.9
-"""From this share of escapes on, it is said how many primitives an escape takes."""
+"""Success rate from which sentences compare primitives of an escape."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ def write_verdict(summary: Summary) -> list[Sentence]:
 
 
 def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:
-    """Most efficient agent; the planner that knows the room only where it is alone."""
+    """Return the most efficient agent; the oracle only if it is alone."""
     contenders = [agent for agent in agents if agent.spec.name != references.ORACLE] or agents
     return max(contenders, key=lambda agent: agent.efficiency.value)
 
@@ -84,18 +84,18 @@ def _write_headline(summary: Summary) -> str:
 
 
 def _tie(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
-    """Return whether two agents have the same efficiency to two digits, and neither is shown to be better."""
+    """Return whether two agents have the same efficiency to two digits without a significant difference."""
     return (f"{first.efficiency.value:.2f}" == f"{second.efficiency.value:.2f}" and not _beats(summary, first, second)
             and not _beats(summary, second, first))
 
 
 def _has_few(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
-    """Return whether two agents share too few runs for a verdict."""
+    """Return whether two agents have too few common runs for a verdict."""
     return summary.get_pair(first, second).count < LEAST_RUNS
 
 
 def _join_labels(agents: Sequence[AgentSummary]) -> str:
-    """`a`, `b` and `c`; of more than four the first three and how many others."""
+    """Join labels; of more than four the first three and the number of others."""
     labels = [f"`{agent.label}`" for agent in agents]
     if len(labels) > MOST_LABELS:
         labels = [*labels[:MOST_LABELS - 1], count_things(len(labels) - MOST_LABELS + 1, "other")]
@@ -116,7 +116,7 @@ def _describe_escapes(agent: AgentSummary) -> str:
 
 
 def _compare_views(summary: Summary) -> list[str]:
-    """With options against without."""
+    """Compare agents with options and without."""
     policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.low_level)]
     flat = [agent for agent in policies if not agent.spec.chooses_options]
     hierarchical = [agent for agent in policies if agent.spec.chooses_options]
@@ -141,9 +141,9 @@ def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
 
 
 def _compare_with_chance(summary: Summary) -> list[str]:
-    """Learners over options against choosing among the same options at random.
+    """Compare learners over options with the random policy over the same options.
 
-    That learning adds to it is said only of a learner that beats the best search baseline.
+    A learner improves on it only if it also beats the best search baseline.
     """
     sentences = []
     for chance in summary.agents:
@@ -174,12 +174,12 @@ def _compare_with_chance(summary: Summary) -> list[str]:
 
 
 def _list_search_baselines(summary: Summary) -> list[AgentSummary]:
-    """Search baselines, which are given nothing of what learners must learn."""
+    """Return the search baselines of a summary."""
     return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
 
 
 def _compare_with_search(summary: Summary) -> list[str]:
-    """Learners over options or hierarchies against the best search baseline."""
+    """Compare learners over options or hierarchies with the best search baseline."""
     learners = [agent for agent in summary.agents
                 if (agent.spec.chooses_options or agent.spec.low_level) and agent.spec.learns]
     baselines = _list_search_baselines(summary)
@@ -201,7 +201,7 @@ def _name_rooms(summary: Summary) -> str:
 
 
 def _describe_speed(summary: Summary) -> list[str]:
-    """First escapes in training; runs without one count with the whole budget."""
+    """Compare first escapes in training; runs without one count with the budget."""
     learners = sorted((agent.first_escape.value, agent.label, agent) for agent in summary.agents
                       if agent.spec.learns and agent.escaped_runs)
     if not learners:
@@ -232,7 +232,7 @@ def _describe_stuck(summary: Summary) -> list[str]:
 
 
 def _describe_generalisation(summary: Summary) -> list[str]:
-    """Rooms that were tested in against rooms that were trained in."""
+    """Compare efficiency in test rooms and in training rooms."""
     learners = [(agent, agent.seen) for agent in summary.agents if agent.spec.learns and agent.seen is not None]
     if not learners:
         return []
@@ -241,7 +241,7 @@ def _describe_generalisation(summary: Summary) -> list[str]:
 
 
 def _describe_trials(summary: Summary) -> list[str]:
-    """Efficiency trial by trial in the same rooms."""
+    """Describe the efficiency at each trial in the same rooms."""
     tried = [agent for agent in summary.agents if agent.trials]
     if not tried:
         return []
@@ -305,7 +305,7 @@ def _write_cautions(summary: Summary) -> list[str]:
 
 
 def _get_choices(agent: AgentSummary) -> OptionsView:
-    """Options that an agent chooses among, whatever it remembers."""
+    """Return the options of an agent without its memory."""
     return dataclasses.replace(agent.spec.options, memory=False)
 
 
@@ -313,7 +313,7 @@ def _get_choices(agent: AgentSummary) -> OptionsView:
 
 
 def _describe_even(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
-    """Efficiencies of two agents of which neither is shown to be better."""
+    """Describe two agents without a significant difference."""
     values = (f"`{first.label}` has an efficiency of {first.efficiency:.2f}, `{second.label}` of "
               f"{second.efficiency:.2f}")
     return values if _has_few(summary, first, second) else f"no significant difference; {values}"
@@ -326,17 +326,17 @@ def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) 
 
 
 def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:
-    """Sentence on what their hierarchies tell agents; none where no agent has one."""
+    """Describe the privileged information of agents with hierarchies."""
     told = [f"`{agent.label}` ({', '.join(agent.privileges)})" for agent in agents if agent.privileges]
     return [f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}."] if told else []
 
 
 def count_things(number: int, noun: str) -> str:
-    """Number and noun as in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
+    """Format number and noun in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
     return f"{spell_number(number)} {noun}" + ("" if number == 1 else "s")
 
 
 def spell_number(number: int) -> str:
-    """Number as in a sentence: `no`, `one`, `two`, `10`."""
+    """Format a number in a sentence: `no`, `one`, `two`, `10`."""
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     return words[number] if number < len(words) else f"{number:,}"

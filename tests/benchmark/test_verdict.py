@@ -144,7 +144,7 @@ def test_who_is_told_how_rooms_are_drawn_is_no_bar():
 @pytest.mark.nightly
 def test_learners_are_measured_against_the_best_searcher_that_learns_nothing():
     start = "The best search baseline, `search-nearest`, escapes every time, in "
-    rule = ("It presses what is unlit and untried since the lights last changed, the nearest first, and starts every "
+    rule = ("It presses buttons that are off and untried since a light last changed, the nearest first, and starts every "
             "episode anew")
     worse = {"sweep": runs(*[-500] * 10), "oracle": runs(*[BEST] * 10)}
     said = judge({**worse, "search-nearest": CHANCE, "smdp-dqn": GOOD})

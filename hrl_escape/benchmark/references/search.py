@@ -1,10 +1,9 @@
-"""References by rule: sweeps of all buttons, search baselines that read the lights, and the oracle.
+"""References by rule: sweeps over all buttons, search baselines, and the oracle.
 
-A round in the order of the buttons' numbers is the score that needs no knowledge of a room; where numbers say nothing
-of the dependency graph, one in an order drawn anew for each episode is as good, but for chance. The planner follows the
-best known plan: the score by which efficiency is measured. Search baselines see what every agent over options sees:
-which targets are lit, whether the exit is open, and where things are. What they try is forgotten with the episode, so
-whatever a learner reaches beyond them it has learned.
+A sweep presses buttons in the order of their numbers, or in a random order for each episode; the two are equal in
+expectation if numbers are independent of the graph. Search baselines read the same information as agents over options:
+which targets are on, whether the exit is open, and positions. They forget everything at the end of an episode. The
+oracle follows the best known plan, which has an efficiency of 1.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from hrl_escape.planning.goals import PressGoal
 
 
 class Reference(FixedPolicy):
-    """Rule that reads the environment itself; `RULE` says what it does, to follow its name and "which"."""
+    """Base of references, which read the room directly; `RULE` describes one after its name and "which"."""
 
     RULE: ClassVar[str]
 
@@ -37,7 +36,7 @@ class Reference(FixedPolicy):
 
 
 class Sweep(Reference):
-    """Options in the order of their numbers, the exit last, then from the first again."""
+    """Sweep over options in the order of their numbers, the exit last, in a loop."""
 
     RULE = "presses all buttons in the order of their numbers"
 
@@ -48,7 +47,7 @@ class Sweep(Reference):
         self._next = 0
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Next option in order that may be taken; the first one where an episode begins."""
+        """Return the next legal option in order; the first one at the start of an episode."""
         del observation
         if len(self._recorder.states) == 1:
             self._next = 0
@@ -61,12 +60,12 @@ class Sweep(Reference):
 
 
 class SweepRandom(Sweep):
-    """Options in an order that is drawn for the episode, the exit last, then from the first again."""
+    """Sweep over options in a random order for each episode, the exit last, in a loop."""
 
     RULE = "presses all buttons in an order drawn for the episode"
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Next option in order that may be taken; an episode begins with a new order."""
+        """Return the next legal option in order; an episode begins with a new order."""
         if len(self._recorder.states) == 1:
             *buttons, leave = sorted(self._order)  # the exit has the last number
             self._order = [*rng.permutation(buttons).tolist(), leave]
@@ -74,7 +73,7 @@ class SweepRandom(Sweep):
 
 
 class PlanFollower(Reference):
-    """Best known plan, made anew where noise has led away from it; stands where there is none."""
+    """Oracle: follows the best known plan and replans after noise; stays where it is without a plan."""
 
     RULE = "follows the best known plan"
 
@@ -83,9 +82,9 @@ class PlanFollower(Reference):
         self._policy: Any = None
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Next primitive of the plan."""
+        """Return the next primitive of the plan."""
         del observation
-        from hrl_escape.planning.best_known import Replanner  # brings the planners in
+        from hrl_escape.planning.best_known import Replanner  # loads the planners
 
         begins = len(self._recorder.states) == 1
         if begins:
@@ -95,25 +94,25 @@ class PlanFollower(Reference):
 
 
 class SearchBaseline(Reference):
-    """Base: leaves when the exit is open, and otherwise asks the subclass for one of the options.
+    """Base of search baselines: takes the exit when it is open, and otherwise an option that the subclass chooses.
 
-    Subclasses are told of every press in turn, meant or not, and of every option that changed nothing.
+    Subclasses receive every press, including unintended ones, and every option without effect.
     """
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
         self._leave = len(self._env.get_wrapper_attr("action_names")) - 1  # the exit has the last number
-        self._options: dict[int, Any] = {}  # those of the present room
+        self._options: dict[int, Any] = {}  # options of the current room
         self._rng = np.random.default_rng(0)
-        self._read = 0  # states of the episode that were read
+        self._read = 0  # number of states of the episode that were read
         self._chosen: int | None = None
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """As in an evaluation, with chance of its own."""
+        """Act as in an evaluation, with the generator of this reference."""
         return self.act_greedy(observation, action_mask, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Leave if the exit is open, else what the rule says."""
+        """Return the exit if it is open, otherwise the choice of the rule."""
         del observation
         states = self._recorder.states
         if len(states) == 1:
@@ -133,7 +132,7 @@ class SearchBaseline(Reference):
         return self._chosen
 
     def _read_on(self, states: Sequence[RoomState]) -> None:
-        """Note the presses since the last decision, and its option if it pressed nothing."""
+        """Process the presses since the last decision, and its option if it pressed nothing."""
         noted = set()
         begin, events = self._read - 1, self._recorder.events
         for before, after, happened in zip(states[begin:], states[begin + 1:], events[begin:], strict=False):
@@ -155,7 +154,7 @@ class SearchBaseline(Reference):
         return self._room.instance.puzzle
 
     def _get_press(self, target: int) -> int | None:
-        """Action that presses a target; None where none does so alone."""
+        """Return the action that presses only a target, or None."""
         return next((action for action, option in self._options.items()
                      if getattr(option, "goal", None) == PressGoal(target)), None)
 
@@ -167,44 +166,44 @@ class SearchBaseline(Reference):
         return [action for action in actions if self._is_dark(action, state)] or list(actions)
 
     def _measure(self, action: int, state: RoomState) -> float:
-        """Straight distance from the robot to what an action presses, m."""
+        """Return the straight-line distance from the robot to the target of an action, m."""
         targets = self._room.instance.targets
         return min((math.dist((state.x, state.y), (targets[i].x, targets[i].y))
                     for i in self._options[action].targets), default=math.inf)
 
     def describe_presses(self) -> dict[int, str]:
-        """Words on what the rule knows of each press at the latest decision, by the number of its option."""
+        """Describe the knowledge of each press at the latest decision, by the number of its option."""
         state = self._recorder.states[-1]
         known = {action: self._describe(action, state) for action in self._options if action != self._leave}
         return {action: words if self._is_dark(action, state) else "lit" for action, words in known.items()}
 
     @abstractmethod
     def _describe(self, action: int, state: RoomState) -> str:
-        """Words on what is known of pressing something unlit."""
+        """Describe the knowledge of pressing a target that is off."""
 
     def _tell(self, is_tried: bool, action: int, state: RoomState) -> str:
         return "tried in vain" if is_tried else f"untried, {self._measure(action, state):.1f} m"
 
     @abstractmethod
     def _begin(self, is_new: bool) -> None:
-        """An episode begins; `is_new` is false for a later trial in the same room."""
+        """Begin an episode; `is_new` is false for a later trial in the same room."""
 
     @abstractmethod
     def _note(self, action: int, before: RoomState, after: RoomState) -> None:
-        """Told that an action was tried, between these states."""
+        """Process an action and the states before and after it."""
 
     @abstractmethod
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
-        """One of the legal options that do not leave."""
+        """Choose a legal option other than the exit."""
 
 
 class SearchRandom(SearchBaseline):
-    """Presses what is unlit and untried since the lights last changed, in random order.
+    """Search baseline: presses buttons that are off and untried since a light last changed, in random order.
 
-    Where all that is unlit was tried it takes what is lit, and where everything was tried it begins again.
+    If all of these were tried it presses buttons that are on, and after all buttons it starts again.
     """
 
-    RULE = "presses what is unlit and untried since the lights last changed, in random order"
+    RULE = "presses buttons that are off and untried since a light last changed, in random order"
 
     def _begin(self, is_new: bool) -> None:
         self._tried: set[int] = set()
@@ -229,22 +228,22 @@ class SearchRandom(SearchBaseline):
 
 
 class SearchNearest(SearchRandom):
-    """Presses what is unlit and untried since the lights last changed, the nearest first, as the crow flies."""
+    """Search baseline: as `SearchRandom`, the nearest button first by straight-line distance."""
 
-    RULE = "presses what is unlit and untried since the lights last changed, the nearest first"
+    RULE = "presses buttons that are off and untried since a light last changed, the nearest first"
 
     def _pick(self, actions: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
         return min(actions, key=lambda action: self._measure(action, state))
 
 
 class SearchBacktrack(SearchBaseline):
-    """Goes back by known presses to the pattern with the most lights on under which something unlit is untried.
+    """Search baseline: returns by known presses to the pattern with most lights on that has untried buttons.
 
-    It remembers for each pattern of lights what every action led to, so that after a reset it repeats what worked
-    before it goes on. Among the untried it takes the nearest. Trials in the same room share what it knows.
+    It remembers the result of every action for each pattern of lights, so after a reset it repeats successful presses.
+    It presses the nearest untried button. Trials in the same room share its memory.
     """
 
-    RULE = "goes back by known presses to where something unlit is untried"
+    RULE = "returns by known presses to a state with untried buttons"
 
     def _begin(self, is_new: bool) -> None:
         if is_new:
@@ -275,7 +274,7 @@ class SearchBacktrack(SearchBaseline):
         return legal[int(rng.integers(len(legal)))]
 
     def _find_ways(self, here: Hashable) -> dict[Hashable, tuple[int, ...]]:
-        """Actions that lead from here to every pattern that known ones reach, fewest first."""
+        """Return the shortest known action sequences to all reachable patterns."""
         ways: dict[Hashable, tuple[int, ...]] = {here: ()}
         queue = deque([here])
         while queue:
