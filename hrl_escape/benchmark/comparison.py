@@ -181,7 +181,7 @@ def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Co
 
     Args:
         out: its folder.
-        grid: its grid; None for the grid in the folder.
+        grid: its grid, or None for the grid in the folder.
 
     Raises:
         FileReadError: the folder has no comparison, or a file is damaged.

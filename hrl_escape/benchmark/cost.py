@@ -34,7 +34,7 @@ def load_rates() -> Rates:
 
 
 def estimate_rate(agent: str, buttons: float, rates: Rates) -> float | None:
-    """Return the seconds of one core per thousand primitives; None for an agent without published runs."""
+    """Return the seconds of one core per thousand primitives, or None for an agent without published runs."""
     known = rates.get(agent)
     return None if known is None else float(np.interp(buttons, list(known), list(known.values())))
 

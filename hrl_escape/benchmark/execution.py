@@ -67,7 +67,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
 
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
-    """Return the common spaces of training and test rooms; None if they are equal."""
+    """Return the common spaces of training and test rooms, or None if they are equal."""
     if not split.is_transfer or (agent.is_reference and not isinstance(split.test, RoomSequence)):
         return None
     envs = [make_agent_env(agent, rooms, observation)[0] for rooms in split.sets]

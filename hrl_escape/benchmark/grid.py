@@ -59,9 +59,9 @@ class Grid(Settings):
     primitives: Annotated[int, Range(1, LARGEST, "primitives")] = 20_000
     """Training budget of a run."""
     decisions: Annotated[int, Range(1, LARGEST)] | None = None
-    """Largest number of decisions in a run; None for no limit."""
+    """Largest number of decisions in a run, or None for no limit."""
     eval_every: Annotated[int, Range(1, LARGEST, "primitives")] | None = None
-    """Primitives between evaluations; None for a twentieth of the budget."""
+    """Primitives between evaluations, or None for a twentieth of the budget."""
     eval_episodes: Annotated[int, Range(1, 10_000)] = 5
     """Episodes in an evaluation, the same for all agents."""
     eval_seed: Annotated[int, Range(0, 2**31)] = 0

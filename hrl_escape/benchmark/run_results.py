@@ -73,7 +73,7 @@ class RunResult:
 
     @property
     def seen_efficiency(self) -> float | None:
-        """Final efficiency in training rooms; None without separate test rooms."""
+        """Final efficiency in training rooms, or None without separate test rooms."""
         if self.seen is None or self.seen_range is None:
             return None
         return _compute_efficiency(self.seen, self.seen_range)
@@ -99,7 +99,7 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
 
 
 def load_run_result(out: Path, run: GridRun) -> RunResult | None:
-    """Read the result of a run; None if it is not finished.
+    """Read the result of a run, or None if it is not finished.
 
     Raises:
         FileReadError: the result is damaged or belongs to another run.

@@ -20,8 +20,8 @@ class RungReferences:
     search: float  # of the best search baseline
     by: str  # its name
     oracle: float  # of the oracle; below 1 only if presses fail at random
-    bayes: float | None = None  # of the Bayes planner; None if graphs cannot be listed
-    told: float | None = None  # bits of the graph that cues reveal; None if graphs cannot be listed
+    bayes: float | None = None  # of the Bayes planner, or None if graphs cannot be listed
+    told: float | None = None  # bits of the graph that cues reveal, or None if graphs cannot be listed
     hidden: float | None = None  # bits of the graph
 
 

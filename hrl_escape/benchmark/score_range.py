@@ -33,7 +33,7 @@ class ScoreRange:
     best: tuple[float, ...]  # best known return of each
     reachable: tuple[float, ...]  # best known return of each with the agent's actions
     fewest: tuple[float, ...]  # primitives of the best known escape of each, or their expectation
-    fewest_reachable: tuple[float | None, ...]  # the same with the agent's actions; None if they cannot escape
+    fewest_reachable: tuple[float | None, ...]  # the same with the agent's actions, or None if they cannot escape
     source: str
     """Source of `best` and `fewest`: `planner`, or `ceiling` if no plan is known and an escape by the first primitive
     is assumed."""
@@ -79,7 +79,7 @@ Ends = tuple[float, float, float, "float | None"]
 
 
 def _find_ends(instance: RoomInstance, state: RoomState, option_set: str | None, cache: Path) -> Ends | None:
-    """Find the best known results from one state, with a cache; None if no planner finds an escape.
+    """Find the best known results from one state, with a cache, or None if no planner finds an escape.
 
     `option_set` is given if options are the only actions.
     """

@@ -78,7 +78,7 @@ class RungStanding(NamedTuple):
     """Efficiencies (runs,) of each training room, or of each run that was tested in other rooms."""
     parts: int = 1  # number of rooms in a sequence, of which the success rate is the share escaped from
     learned: float | None = None
-    """See `compute_learned_share`; None without runs of a search baseline and `bayes` on the rung."""
+    """See `compute_learned_share`, or None without runs of a search baseline and `bayes` on the rung."""
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[Estimate, bool]:

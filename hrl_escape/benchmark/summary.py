@@ -89,7 +89,7 @@ class AgentSummary:
     stuck: float  # share of runs without success in the last fifth
     gap: Gap  # distance to an efficiency of 1
     curve: Curve  # over all rooms
-    room_curves: tuple[Curve | None, ...]  # for each room; None without runs
+    room_curves: tuple[Curve | None, ...]  # for each room, or None without runs
     profile: Floats  # share of runs above each threshold of `PROFILE`
     failed: int  # runs that failed
     decisions: float  # mean of a run

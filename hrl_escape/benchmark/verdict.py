@@ -188,7 +188,8 @@ def _compare_with_search(summary: Summary) -> list[str]:
     best, baseline = find_leader(learners), find_leader(baselines)
     rule = references.describe_rule(baseline.spec.name)
     name = "search baseline" if len(baselines) == 1 else "best search baseline"
-    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and starts every episode anew")
+    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and forgets everything after "
+             "an episode")
     if _beats(summary, best, baseline):
         return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
     if _beats(summary, baseline, best):

@@ -1,4 +1,4 @@
-"""Write a file of version 0.3 in the form of this version.
+"""Convert a file of version 0.3 to this version.
 
     hrl-escape convert runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape convert grid.toml --out new.toml
@@ -36,7 +36,7 @@ class ConvertArgs:
 
 
 def run(args: ConvertArgs) -> None:
-    """Convert one file or folder; what was there stays."""
+    """Convert one file or folder; the original stays."""
     path = args.path.absolute()
     suffix = "" if path.is_dir() else path.suffix
     out = args.out or path.with_name(f"{path.name.removesuffix(suffix)}-converted{suffix}")

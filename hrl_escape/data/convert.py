@@ -39,7 +39,7 @@ def convert_data(path: Path, out: Path) -> str | None:
         out: file to write.
 
     Returns:
-        Description of the converted file; None for other kinds of files.
+        Description of the converted file, or None for other kinds of files.
 
     Raises:
         FileReadError: there is no such file, or it is damaged.

@@ -54,7 +54,7 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLi
     Args:
         data: the data set.
         namespace: first part of the sets' names.
-        folder: folder of data sets, as `MINARI_DATASETS_PATH`; None for Minari's default.
+        folder: folder of data sets, as `MINARI_DATASETS_PATH`, or None for Minari's default.
 
     Raises:
         MissingExtraError: Minari is not installed.

@@ -49,12 +49,12 @@ def _read(table: Path) -> Mapping[str, PublishedRecording]:
 
 
 RecordingStanding = Literal["published", "unpublished", "medium", "trial", "played", "other"]
-"""A recording under a name: the published one; of a name without one; a whole `medium` of another network; recorded
-with another number of primitives than the name says; someone's own play; another for other reasons."""
+"""Standing of a recording under a name: the published one; a name without one; a full `medium` of another network; a
+trial with another number of primitives; your own play; or a difference for another reason."""
 
 
 class RecordingComparison(NamedTuple):
-    """A recording held against the published one of a name; `difference` tells of another one what it is and holds."""
+    """Comparison of a recording with the published one of its name; `difference` describes a differing one."""
 
     standing: RecordingStanding
     difference: str = ""

@@ -117,14 +117,14 @@ class Situations:
     # --- plans --------------------------------------------------------------------------
 
     def find_route(self, here: Situation, goal: Goal) -> Route | None:
-        """Plan a route; None if there is none."""
+        """Plan a route, or None if there is none."""
         try:
             return self.planner.routes.find_route(here.state, goal)
         except PlanningFailed:
             return None
 
     def plan_first(self, here: Situation, goal: Goal) -> int | None:
-        """Return the first primitive of the planned route; None without a route or at its end."""
+        """Return the first primitive of the planned route, or None without a route or at its end."""
         route = self.find_route(here, goal)
         return next(iter(route.primitives), None) if route else None
 

@@ -213,7 +213,7 @@ def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[s
     of Zhu and Givan 2003). A negative precondition is a fact of its own, which deletes make true.
 
     Returns:
-        Landmark -> the landmarks that every plan makes true before it; None if the relaxation has no plan.
+        Landmark -> the landmarks that every plan makes true before it, or None if the relaxation has no plan.
     """
     before: dict[Literal, frozenset[Literal]] = {
         (fact, fact in facts): frozenset() for fact in model.propositions}

@@ -28,7 +28,7 @@ class CommonSpaces(NamedTuple):
 
     rows: tuple[str, ...]  # names of the objects
     about: tuple[str | None, ...] | None
-    """Name of each action's object, or None; None if no action has an object."""
+    """Name of each action's object, or None, or None if no action has an object."""
 
 
 def join_spaces(envs: Sequence[gymnasium.Env]) -> CommonSpaces:

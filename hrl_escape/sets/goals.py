@@ -74,7 +74,7 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """
         observation, info = self.env.reset(seed=seed, options=options)
         rng = self.env.unwrapped.np_random
-        is_exit = self._escapes == 1 or (self._escapes > 0 and rng.random() < self._escapes)
+        is_exit = self._exits == 1 or (self._exits > 0 and rng.random() < self._exits)
         self._desired = self._make_goal((), True) if is_exit else self._draw_pattern()
         return self._show(observation, False), {**info, "room_success": False, "is_success": False}
 

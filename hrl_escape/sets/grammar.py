@@ -76,7 +76,7 @@ class RoomName:
     Attributes:
         base: preset, `BENCHMARK/RUNG/SET` or path of a file.
         arguments: of the preset.
-        chosen: numbers of the rooms after `#`; `FRESH`; None without `#`.
+        chosen: numbers of the rooms after `#`; `FRESH`, or None without `#`.
         is_one: the text chooses one room by its number.
     """
 
@@ -208,7 +208,7 @@ def find_set(text: str, changes: Mapping[str, Any] | None = None) -> InstanceSet
 
 
 def find_config(room: str | RoomConfig, changes: Mapping[str, Any] | None = None) -> RoomConfig | None:
-    """Find the configuration that rooms of a text are sampled from; None for the file of a finished room.
+    """Find the configuration that rooms of a text are sampled from, or None for the file of a finished room.
 
     Raises:
         EscapeError: as `find_rooms` does.

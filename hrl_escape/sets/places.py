@@ -75,7 +75,7 @@ class RunPlace:
 
     name: str  # in tables
     instance: RoomInstance  # the room; of a split, the first test room, for pictures
-    split: Split | None = None  # training and test rooms; None for one room that is both
+    split: Split | None = None  # training and test rooms, or None for one room that is both
 
     @classmethod
     def of_room(cls, instance: RoomInstance, name: str = "") -> RunPlace:

@@ -75,7 +75,7 @@ class Rung:
 
     @cached_property
     def test_task(self) -> InstanceSet | None:
-        """Test rooms with unseen layouts and tasks; None if the rung has too few tasks to hold out."""
+        """Test rooms with unseen layouts and tasks, or None if the rung has too few tasks to hold out."""
         return None if self.record.test_task is None else self._make("test_task")
 
     @property

@@ -437,5 +437,5 @@ def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatc
 
 
 def test_bayes_says_where_it_has_no_beliefs():
-    with pytest.raises(UnsupportedError, match=r"take search-backtrack"):
+    with pytest.raises(UnsupportedError, match=r"use search-backtrack"):
         play(BAYES, generate(get_preset("lights-out"), 0))

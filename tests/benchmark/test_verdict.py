@@ -142,10 +142,10 @@ def test_who_is_told_how_rooms_are_drawn_is_no_bar():
 
 
 @pytest.mark.nightly
-def test_learners_are_measured_against_the_best_searcher_that_learns_nothing():
+def test_learners_are_measured_against_the_best_search_baseline():
     start = "The best search baseline, `search-nearest`, escapes every time, in "
-    rule = ("It presses buttons that are off and untried since a light last changed, the nearest first, and starts every "
-            "episode anew")
+    rule = ("It presses buttons that are off and untried since a light last changed, the nearest first, and forgets "
+            "everything after an episode")
     worse = {"sweep": runs(*[-500] * 10), "oracle": runs(*[BEST] * 10)}
     said = judge({**worse, "search-nearest": CHANCE, "smdp-dqn": GOOD})
     assert f"{start}86 primitives. {rule}; `smdp-dqn`, trained in this room, is better." in said["finding"]

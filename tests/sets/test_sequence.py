@@ -290,8 +290,9 @@ def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_not
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("marks-2/words/test#0..8 x 2", "its marks have motifs"), ("marks-2/motifs/test#0..8 x 1", "2 to 1,000 rooms"),
-    ("marks-2/motifs/test#0..2 x 5", "needs 5 rooms of one motif")])
+    ("marks-2/words/test#0..8 x 2", "requires cues with latent codes"),
+    ("marks-2/motifs/test#0..8 x 1", "2 to 1,000 rooms"),
+    ("marks-2/motifs/test#0..2 x 5", "needs 5 rooms of one latent code")])
 def test_sets_that_cannot_repeat_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         find_sets(text)

@@ -42,7 +42,7 @@ PROGRESS_SECONDS = 5.0
 class RayLauncher:
     """Launcher with Ray tasks, by default of one core each, and a process for every run."""
 
-    workers: int | None = None  # cores of a local Ray; None for all
+    workers: int | None = None  # cores of a local Ray, or None for all
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
     resources: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Options of `ray.remote` for each run, such as `num_cpus`, `num_gpus`, `memory` (bytes), `max_retries` (5: a run

@@ -67,7 +67,7 @@ class Launcher(Protocol):
 class LocalLauncher:
     """Launcher with processes on this machine."""
 
-    workers: int | None = None  # runs at a time; None for one a core
+    workers: int | None = None  # runs at a time, or None for one a core
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
     begin_until: float = math.inf  # `time.monotonic()` after which no run begins
 

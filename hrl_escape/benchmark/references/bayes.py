@@ -64,11 +64,11 @@ class BayesPlanner(SearchBaseline):
         self._odds: NDArray[np.float64] | None = None
 
     def expect(self, odds: NDArray[np.float64] | None) -> None:
-        """Set the prior over latent codes of cues for the next rooms, (codes,); None for the room configuration's."""
+        """Set the prior over latent codes of cues for the next rooms, (codes,); None restores the default."""
         self._odds, self._posterior = odds, None
 
     def infer_code(self) -> NDArray[np.float64] | None:
-        """Return the posterior over latent codes after the presses in this room, (codes,); None without codes."""
+        """Return the posterior over latent codes after the presses in this room, (codes,), or None without codes."""
         return None if self._posterior is None else self._posterior.infer_code()
 
     def _begin(self, is_new: bool) -> None:
@@ -161,7 +161,7 @@ class _Posterior:
         return targets[int(np.argmax(unlit * (odds + 1e-9) / (legs + 1.0)))]
 
     def infer_code(self) -> NDArray[np.float64] | None:
-        """Return the posterior over latent codes, (codes,); None without codes, or with sampled graphs."""
+        """Return the posterior over latent codes, (codes,), or None without codes, or with sampled graphs."""
         if self._graph is None or self._config.marks.motifs == 1:
             return None
         weights = self._family.weights[self._graphs]

@@ -65,7 +65,7 @@ class BeliefGraph:
         return len(self.opens)
 
     def find(self, lit: int, graphs: NDArray[np.int32]) -> int | None:
-        """Number of a belief; None for one that no choice between presses of unlit buttons leads to.
+        """Number of a belief, or None for one that no choice between presses of unlit buttons leads to.
 
         `lit` are the bits of the buttons that are on, `graphs` the ascending numbers, int32, of those that all presses
         agree with.

@@ -137,11 +137,11 @@ REFERENCE_NAMES = "random policy", "best search baseline", "Bayes planner"
 class AxisScore(NamedTuple):
     """Result of one agent on one axis."""
 
-    levels: tuple[float | None, ...]  # efficiency on each rung, from easy to hard; None for rungs without runs
+    levels: tuple[float | None, ...]  # efficiency on each rung, from easy to hard, or None for rungs without runs
 
     @property
     def value(self) -> float | None:
-        """Mean over the rungs; None unless all have runs."""
+        """Mean over the rungs, or None unless all have runs."""
         known = [level for level in self.levels if level is not None]
         return float(np.mean(known)) if known and len(known) == len(self.levels) else None
 

@@ -1,4 +1,4 @@
-"""Run agents on rungs under a protocol, and report each rung: the same comparison as `hrl-escape compare`.
+"""Run agents on the rungs of a benchmark under a protocol, and report each rung.
 
 Protocols:
     per-instance  train from scratch in each test room
@@ -55,10 +55,10 @@ from hrl_escape.names import join_words, make_file_name
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 
 FROM = {"word": "from"}
-"""Word on the command line of a field whose name Python reserves."""
+"""Command-line name of `source`, because `from` is reserved in Python."""
 PROTOCOLS_OF = {"train_sizes": ("generalise", "transfer", "few-shot", "sequence"), "trials": ("few-shot",),
                 "repeats": ("sequence",)}
-"""Options that some protocols alone have, and these protocols."""
+"""Options of some protocols only."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,13 +80,13 @@ class RunArgs(LadderSettings, LaunchArgs):
     """Folder of all rungs and protocols; runs/ and the benchmark's name by default."""
 
     def format_command(self, rungs: Sequence[str]) -> str:
-        """The command line that runs these rungs again."""
+        """Return the command line that reproduces these rungs."""
         return shlex.join(["hrl-escape", "ladder", "run", *self.agents, "--rung", *rungs,
                            *self.format_options("agents", "rung")])
 
 
 def find_default_folder(bench: Benchmark) -> Path:
-    """Folder of a benchmark's runs: no other command writes there."""
+    """Return the default folder of a benchmark's runs."""
     return Path("runs") / make_file_name(bench.name)
 
 
@@ -132,9 +132,9 @@ class ReportArgs:
     folder: Annotated[Path | None, tyro.conf.Positional] = None
     """Folder given to `hrl-escape ladder run --out`; runs/ and the benchmark's name by default."""
     protocol: Protocol = "per-instance"
-    """Protocol to sum up."""
+    """Protocol to summarise."""
     source: Annotated[str | None, tyro.conf.arg(name="from")] = None
-    """Rung that was trained on, with transfer."""
+    """Training rung, with transfer."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     json: bool = False
@@ -204,7 +204,7 @@ def run_report(args: ReportArgs) -> None:
 
 
 def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[str, dict[str, AxisScore]]:
-    """Profiles of the agents, then of the benchmark's references; empty where it has no axes."""
+    """Make profiles of agents and references; empty for a benchmark without axes."""
     found: dict[str, dict[str, float]] = {}
     for standing in standings:
         found.setdefault(standing.agent.label, {})[standing.rung] = standing.agent.efficiency.value
@@ -213,7 +213,7 @@ def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[
 
 
 def _tell_profiles(console: Console, bench: Benchmark, profiles: dict[str, dict[str, AxisScore]], path: Path) -> None:
-    """Print a row an axis, each rung in parentheses, and draw the radar."""
+    """Print a row for each axis, and draw the radar chart."""
     axes = bench.manifest.axes
     table = Table("axis", *profiles, box=None, pad_edge=False)
     for axis in axes:
@@ -239,7 +239,7 @@ def _count_rooms(standing: RungStanding) -> float:
 
 
 def _make_trial_table(standings: Sequence[RungStanding]) -> Table:
-    """Efficiency trial by trial, a row an agent and rung."""
+    """Make the table of efficiency by trial, a row for each agent and rung."""
     most = max(len(standing.agent.trials) for standing in standings)
     table = Table("rung", "agent", *(f"trial {number}" for number in range(1, most + 1)), box=None, pad_edge=False)
     for standing in standings:
