@@ -140,7 +140,7 @@ class Grid(Settings):
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Build from nested dicts; agents and rooms may be short texts, see `AgentSpec.parse`, `RoomSpec.parse`."""
+        """Build from nested dicts; agents and rooms can be short texts, see `AgentSpec.parse`, `RoomSpec.parse`."""
         if isinstance(data, Mapping) and isinstance(data.get("rooms"), list):
             rooms = [RoomSpec.parse(item).to_dict() if isinstance(item, str) else item for item in data["rooms"]]
             data = {**data, "rooms": rooms}

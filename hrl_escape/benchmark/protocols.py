@@ -62,7 +62,7 @@ class LadderSettings:
     eval_episodes: int | None = None
     """Episodes in an evaluation; by default 20 with per-instance, otherwise one in each test room."""
     observation: str | None = None
-    """Observation of all agents; by default that of the rung's axis, else features with per-instance if no agent is
+    """Observation of all agents; by default of the rung's axis, else features with per-instance if no agent is
     +objects, otherwise objects."""
     source: str | None = None
     """Rung to train on with transfer."""

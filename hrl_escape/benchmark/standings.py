@@ -23,7 +23,7 @@ PASSED_RATE, PASSED_EFFICIENCY = 0.9, 0.5
 """A rung is passed with a success rate above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
 LEAST_HEADROOM = 0.05
-"""Smallest gap in efficiency between search baseline and Bayes planner for which the learned share is defined."""
+"""Smallest gap in efficiency between search baseline and Bayes planner for a learned share."""
 
 
 def compute_learned_share(efficiency: float, search: float, bayes: float) -> float | None:
@@ -76,7 +76,7 @@ class RungStanding(NamedTuple):
     is_passed: bool  # the rung is passed, see `judge`
     units: Scores
     """Efficiencies (runs,) of each training room, or of each run that was tested in other rooms."""
-    parts: int = 1  # number of rooms in a sequence, of which the success rate is the share escaped from
+    parts: int = 1  # number of rooms in a sequence; the success rate is a share of them
     learned: float | None = None
     """See `compute_learned_share`, or None without runs of a search baseline and `bayes` on the rung."""
 

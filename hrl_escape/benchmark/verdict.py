@@ -23,7 +23,7 @@ from hrl_escape.names import join_words
 MOST_LABELS = 4
 """Largest number of agents in a headline."""
 SETTLED = 0.9
-"""Success rate from which sentences compare primitives of an escape."""
+"""Smallest success rate of agents whose primitives of an escape are compared."""
 
 
 @dataclass(frozen=True)

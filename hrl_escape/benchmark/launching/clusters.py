@@ -46,7 +46,7 @@ class RayLauncher:
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
     resources: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Options of `ray.remote` for each run, such as `num_cpus`, `num_gpus`, `memory` (bytes), `max_retries` (5: a run
-    whose worker or node is lost goes on from its checkpoint elsewhere) and `max_calls` (1: runs in one process, one
+    whose worker or node is lost resumes from its checkpoint elsewhere) and `max_calls` (1: runs in one process, one
     after another)."""
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:

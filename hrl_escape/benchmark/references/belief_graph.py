@@ -141,7 +141,7 @@ class BeliefGraph:
 
 
 def split_mistakes(rules: NDArray[np.int64], mistaken: NDArray[np.bool_], lit: int) -> list[NDArray[np.bool_]]:
-    """Split the graphs under which a press is wrong by its visible effect: failure, reset, or none.
+    """Split the graphs that make a press wrong by its visible effect: failure, reset, or none.
 
     Args:
         rules: rule for wrong presses of each graph, (graphs,).

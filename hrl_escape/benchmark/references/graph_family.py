@@ -31,7 +31,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Between
 
 MOST_BUTTONS = 6
-"""Largest number of buttons for which every graph of a family is listed."""
+"""Largest number of buttons of a family that lists every graph."""
 
 T = TypeVar("T", bound=Hashable)
 
