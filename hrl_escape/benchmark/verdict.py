@@ -36,7 +36,7 @@ class Sentence:
 
 def write_verdict(summary: Summary) -> list[Sentence]:
     """Write the verdict: one headline, then findings, then cautions."""
-    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_search(summary),
+    findings = [*_compare_views(summary), *_compare_with_random(summary), *_compare_with_search(summary),
                 *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
                 *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
     return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
@@ -140,33 +140,33 @@ def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
     return [agent for agent in agents if agent.spec.learns] or list(agents)
 
 
-def _compare_with_chance(summary: Summary) -> list[str]:
+def _compare_with_random(summary: Summary) -> list[str]:
     """Compare learners over options with the random policy over the same options.
 
     A learner improves on it only if it also beats the best search baseline.
     """
     sentences = []
-    for chance in summary.agents:
-        if not chance.spec.chooses_options or chance.spec.algorithm != "random":
+    for baseline in summary.agents:
+        if not baseline.spec.chooses_options or baseline.spec.algorithm != "random":
             continue
-        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not chance
-                    and _get_choices(agent) == _get_choices(chance) and agent.spec.learns]
+        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not baseline
+                    and _get_choices(agent) == _get_choices(baseline) and agent.spec.learns]
         if not learners:
             continue
         best = find_leader(learners)
-        start = (f"Random choice among the options (`{chance.label}`) {_describe_escapes(chance)}"
-                 f"{': that much comes from their planners' if chance.success.value > 0 else ''}.")
-        if _beats(summary, best, chance):
-            both = min(chance.success.value, best.success.value) >= SETTLED
+        start = (f"Random choice among the options (`{baseline.label}`) {_describe_escapes(baseline)}"
+                 f"{': that much comes from their planners' if baseline.success.value > 0 else ''}.")
+        if _beats(summary, best, baseline):
+            both = min(baseline.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
-            baselines = _list_search_baselines(summary)
-            adds = "Learning adds to it: " if baselines and _beats(summary, best, find_leader(baselines)) else ""
+            searches = _list_search_baselines(summary)
+            adds = "Learning adds to it: " if searches and _beats(summary, best, find_leader(searches)) else ""
             sentences.append(f"{start} {adds}`{best.label}` {gain}.")
-        elif _beats(summary, chance, best):
+        elif _beats(summary, baseline, best):
             sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_escapes(best)}.")
         else:
-            sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, chance)}.")
-        worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
+            sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, baseline)}.")
+        worse = [agent for agent in learners if agent is not best and _beats(summary, baseline, agent)]
         if worse:
             names = join_words([f"`{agent.label}`" for agent in worse])
             sentences.append(f"{names} {'ends' if len(worse) == 1 else 'end'} below choosing at random.")
@@ -281,9 +281,9 @@ def _write_cautions(summary: Summary) -> list[str]:
                         "command goes on from these, to a verdict.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
-    chance = [_get_choices(agent) for agent in summary.agents
-              if agent.spec.chooses_options and agent.spec.algorithm == "random"]
-    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
+    covered = [_get_choices(agent) for agent in summary.agents
+               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
+    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in covered]
     if unmatched:
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         "the score that the options' planners bring is unknown.")

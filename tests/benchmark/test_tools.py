@@ -1,4 +1,4 @@
-"""The agent that calls tools stands in comparisons as the searchers do: the same rooms, episodes and scores."""
+"""The agent that calls tools stands in comparisons as the search baselines do: the same rooms, episodes and scores."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from tests.text.rooms import get_room, play_manager
 UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-random", "reveal": "names"})
 
 
-def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
+def test_it_scores_what_the_search_baseline_scores_whose_choices_it_makes():
     found = []
     for spec in (AgentSpec("search-random"), UNTRIED, AgentSpec("text-agent", settings={"model": "random"})):
         env, recorder = make_agent_env(spec, get_room("chain-3"), "features")
         found.append(evaluate(make_player(spec, env, recorder), env, episodes=5))
-    searcher, text, chance = found
-    assert text == searcher != chance and text.success_rate == 1.0
+    baseline, text, chance = found
+    assert text == baseline != chance and text.success_rate == 1.0
 
 
 @pytest.mark.slow
@@ -39,8 +39,8 @@ def test_a_ladder_takes_it_and_reports_it_as_a_reference(tmp_path: Path):
     for protocol in ("generalise", "per-instance"):
         grid = make_protocol_grid(load_benchmark("ladder-1"), "chain-3", protocol, agents,
                                   LadderSettings(1, 500, 2, (2,), 2))
-        searcher, text, planner = summarise(run_quietly(grid, tmp_path / protocol)).agents
-        assert [*map(list, searcher.efficiencies)] == [*map(list, text.efficiencies)]
+        baseline, text, planner = summarise(run_quietly(grid, tmp_path / protocol)).agents
+        assert [*map(list, baseline.efficiencies)] == [*map(list, text.efficiencies)]
         assert text.success.value == 1.0 and planner.efficiency.value > text.efficiency.value
 
 

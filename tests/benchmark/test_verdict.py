@@ -42,9 +42,9 @@ def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
     ]
 
 
-@pytest.mark.parametrize(("searcher", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 10), False)])
-def test_that_learning_adds_is_said_of_who_beats_the_searcher(searcher, adds):
-    said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "search-nearest": searcher})
+@pytest.mark.parametrize(("baseline", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 10), False)])
+def test_that_learning_adds_is_said_of_who_beats_the_search_baseline(baseline, adds):
+    said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "search-nearest": baseline})
     assert any("Learning adds to it: `smdp-dqn`" in text for text in said["finding"]) == adds
     assert any("`smdp-dqn` shortens that to 19." in text for text in said["finding"])
 

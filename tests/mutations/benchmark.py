@@ -63,7 +63,7 @@ MUTATIONS = [
     Mutation("text of a card is markup on the leaderboard", "benchmarks/leaderboard/page.py::_escape",
              'r"[^\\w ,.()/+:;-]|_"', 'r"[|]"',
              "benchmarks/test_leaderboard.py::test_text_of_a_card_is_no_markup"),
-    Mutation("a comparison without chance over the same options passes without a word",
+    Mutation("a comparison without a random policy over the same options has no caution",
              "benchmark/verdict.py::_write_cautions",
              "if unmatched:", "if False:",
              "benchmark/test_verdict.py::test_cautions"),
