@@ -16,8 +16,7 @@ from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.references import bayes
-from hrl_escape.benchmark.references.bayes import find_own_config, measure_paths
-from hrl_escape.benchmark.references.belief_graph import BeliefGraph, PathLengths
+from hrl_escape.benchmark.references.belief_graph import BeliefGraph
 from hrl_escape.benchmark.references.graph_family import (
     GraphFamily,
     condition_on_cues,
@@ -27,6 +26,7 @@ from hrl_escape.benchmark.references.graph_family import (
     make_family,
 )
 from hrl_escape.benchmark.references.graph_particles import GraphParticles
+from hrl_escape.benchmark.references.path_lengths import PathLengths, measure_paths
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
@@ -41,6 +41,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.sets.own_config import find_own_config
 from hrl_escape.settings import Between
 
 LADDER = load_benchmark("ladder-1")

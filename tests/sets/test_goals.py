@@ -154,5 +154,5 @@ def test_impossible_goals_are_refused():
     with pytest.raises(UnsupportedError, match="no goals to draw"):
         make_goals("PushBlock").reset(seed=0)
     for share in (-0.1, 1.5, True):
-        with pytest.raises(ConfigError, match="escapes"):
+        with pytest.raises(ConfigError, match="exits"):
             make_goals(exits=share)

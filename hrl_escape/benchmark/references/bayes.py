@@ -11,8 +11,7 @@ approximation of path lengths. An agent that remembers earlier episodes in the r
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import cast
 
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.benchmark.episodes import StateRecorder
-from hrl_escape.benchmark.references.belief_graph import BeliefGraph, PathLengths, split_mistakes
+from hrl_escape.benchmark.references.belief_graph import BeliefGraph, split_mistakes
 from hrl_escape.benchmark.references.graph_family import (
     MOST_BUTTONS,
     can_light,
@@ -30,20 +29,16 @@ from hrl_escape.benchmark.references.graph_family import (
     make_family,
 )
 from hrl_escape.benchmark.references.graph_particles import GraphParticles
+from hrl_escape.benchmark.references.path_lengths import follow_path, measure_paths
 from hrl_escape.benchmark.references.search import SearchBaseline
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
-from hrl_escape.env.sampling.generation import sample_puzzle
-from hrl_escape.errors import PlanningFailed, UnknownNameError, UnsupportedError
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
-from hrl_escape.planning.planner import RoomPlanner, get_planner
-
-_NO_PATH = 1e4
-"""Length of a path that the planner does not find."""
-
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.planner import get_planner
+from hrl_escape.sets.own_config import find_own_config
 
 _make_belief_graph = lru_cache(maxsize=8)(BeliefGraph)
 """Cache of the belief graphs of families without cues, which rooms share."""
@@ -147,7 +142,7 @@ class _Posterior:
     def choose(self, state: RoomState, targets: Sequence[int]) -> int:
         """Return the next button to press, among those with legal options."""
         lit = _get_bits(state)
-        legs = np.array([_go(self._planner, state, PressGoal(target))[1] for target in targets])
+        legs = np.array([follow_path(self._planner, state, PressGoal(target))[1] for target in targets])
         belief = None if self._graph is None else self._graph.find(lit, self._graphs)
         if self._graph is not None and belief is not None:
             at, count = np.array([belief]), self._puzzle.count
@@ -176,64 +171,6 @@ class _Posterior:
         return family.weights[kept] @ can_light(family.parents[kept], lit) / family.weights[kept].sum()
 
 
-def measure_paths(planner: RoomPlanner) -> PathLengths:
-    """Measure planned paths from button to button and to the exit, with all inner doors open.
-
-    A place is the pose after pressing a button, coming from the start or from another button, because path lengths
-    depend on the initial heading. Its number is `before * buttons + button`; `before` is the number of buttons for the
-    start.
-    """
-    room = planner.instance
-    count = len(room.targets)
-    legs = np.full(((count + 1) * count, count), _NO_PATH, np.float32)
-    leaving = np.full((count + 1) * count, _NO_PATH, np.float32)
-    start = planner.rules.make_state(room.starts[0])._replace(puzzle=(1 << count) - 1)
-    states = [*(_go(planner, start, PressGoal(target))[0] for target in range(count)), start]
-    for place, (before, button) in enumerate(itertools.product(states, range(count))):
-        state = before and _go(planner, before, PressGoal(button))[0]
-        if state is not None:
-            legs[place] = [_go(planner, state, PressGoal(other))[1] for other in range(count)]
-            leaving[place] = _go(planner, state, ExitGoal())[1]
-    arrivals = np.tile(np.arange(count) * count, count + 1)[:, None] + np.arange(count)
-    failure = room.reward.exit / -room.reward.step if room.reward.step < 0 else 0.0
-    return PathLengths(legs, arrivals, leaving, failure)
-
-
 def _get_bits(state: RoomState) -> int:
     """Bits of the buttons that are on."""
     return cast(int, state.puzzle)
-
-
-def _go(planner: RoomPlanner, state: RoomState, goal: Goal) -> tuple[RoomState | None, float]:
-    """Return the final state of a planned path and its primitives; None and `_NO_PATH` if there is no path."""
-    try:
-        plan = planner.plan(state, goal)
-        return plan.states[-1], float(plan.cost)
-    except PlanningFailed:
-        return None, _NO_PATH
-
-
-def find_own_config(instance: RoomInstance) -> RoomConfig:
-    """Find the room configuration of a room: the preset or rung of its name that samples its puzzle.
-
-    Raises:
-        UnsupportedError: no preset and no rung of that name samples the puzzle.
-    """
-    for config in _list_configs(instance.name):
-        if instance.seed is not None and sample_puzzle(config, instance.seed)[1] == instance.puzzle:
-            return config
-    raise UnsupportedError(f"the configuration of room {instance.id} ({instance.name}) is not known: take a "
-                           "preset, a rung of a benchmark, or an InstanceSet, which holds its configuration")
-
-
-def _list_configs(name: str) -> Iterator[RoomConfig]:
-    from hrl_escape.env.presets import get_preset
-    from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
-
-    if name in PRESETS:
-        yield get_preset(name)
-    for benchmark in list_benchmarks():
-        try:
-            yield load_benchmark(benchmark)[name].config
-        except UnknownNameError:
-            continue

@@ -8,7 +8,6 @@ graph, so one pass backwards computes the costs.
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cached_property
 from typing import Any
 
@@ -16,21 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.benchmark.references.graph_family import GraphFamily, can_light
+from hrl_escape.benchmark.references.path_lengths import PathLengths
 from hrl_escape.env.puzzles.buttons import VIOLATION_RULES
 from hrl_escape.errors import UnsupportedError
 
 MOST_BELIEFS = 3_000_000
 """Largest number of beliefs, at about 1 kB each."""
-
-
-@dataclasses.dataclass(frozen=True)
-class PathLengths:
-    """Path lengths between places, in primitives."""
-
-    legs: NDArray[np.floating]  # float (places, buttons), from a place to the press of a button
-    arrivals: NDArray[np.int64]  # int (places, buttons), the place of the robot after that
-    leaving: NDArray[np.floating]  # float (places,), from a place to the open exit
-    failure: float = 0.0  # cost of a failed puzzle
 
 
 class BeliefGraph:
