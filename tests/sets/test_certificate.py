@@ -14,7 +14,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, UnknownNameError, VerificationError
 from hrl_escape.sets.benchmark import Benchmark, certify_rung, find_overlaps, list_benchmarks, load_benchmark
-from hrl_escape.sets.keys import RoomKeys, SeenLayouts, compute_keys, compute_task_key
+from hrl_escape.sets.keys import RoomKeys, compute_keys, compute_task_key
 from hrl_escape.sets.manifest import Manifest, SetRecord
 from hrl_escape.sets.rung import choose_seeds, derive_seed, is_held_out
 from studies.ladder.freezing import freeze_manifest
@@ -100,7 +100,7 @@ def test_a_room_configuration_that_cannot_vary_is_refused():
     known = {compute_keys(generate(fixed, 0)).layout}
     with pytest.raises(EscapeError, match="more room to vary") as refused:
         choose_seeds(fixed, ((i, i) for i in range(100)), 2, known)
-    assert "of the first 21 rooms, 21 look like" in str(refused.value)
+    assert "of the first 21 rooms, 21 are alike to" in str(refused.value)
 
 
 def test_one_task_in_ten_is_held_out_by_the_first_32_bits_of_its_key():
@@ -123,13 +123,6 @@ def test_tasks_held_out_are_decided_by_their_hash():
     tasks = {role: {compute_task_key(room.puzzle) for room in rooms} for role, rooms in rung.sets.items()}
     assert all(map(is_held_out, tasks.pop("test_task")))
     assert not any(is_held_out(task) for each in tasks.values() for task in each)
-
-
-def test_a_rung_that_cannot_vary_is_refused():
-    config = get_preset("paper-one-button")
-    with pytest.raises(EscapeError, match="more room to vary"):
-        choose_seeds(config, iter(enumerate(range(100))), 1, SeenLayouts([
-            compute_keys(generate(config, seed)).layout for seed in range(100)]))
 
 
 # --- the benchmark that comes with the package ---------------------------------------------
