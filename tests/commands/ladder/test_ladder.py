@@ -94,7 +94,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", "random-options", "oracle", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
-    assert err.startswith("nothing learns, so nothing is trained\n")
+    assert err.startswith("no agent is trained\n")
     code, out, err = call(capsys, "run", "random-options", "oracle", *options)
     assert code == 0 and "2 of 2 runs were finished before" in err
     assert (tmp_path / "generalise" / "doormat" / "report.html").exists()
@@ -166,7 +166,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     options = ["run", "random-options", "oracle", "--rung", "doormat", "--rooms", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     told = call(capsys, *options, "--dry-run")[1]
-    assert "doormat: 2 runs, 2 to be made" in told and "nothing learns, so nothing is trained" in told
+    assert "doormat: 2 runs, 2 to be made" in told and "no agent is trained" in told
     code, out, _ = call(capsys, *options, "--shard", "2/2")
     assert code == 0 and "doormat: 1 runs finished" in out
     code, out, _ = call(capsys, *options, "--report")
