@@ -4,8 +4,7 @@
     python -m benchmarks.pretrained marks-4/rules --out agents
 
 On rungs that teach across rooms an agent learns from many rooms at once and is tested in every test room; on the others
-it learns the first test room from nothing. A file is a submission, which `hrl-escape ladder verify-submission` plays
-again; the record of one that was tested in every room stands on the board.
+it learns the first test room from nothing. A file is an archive of `hrl_escape.benchmark.agent_archive`.
 """
 
 from __future__ import annotations
@@ -14,12 +13,13 @@ import argparse
 import tempfile
 from pathlib import Path
 
+from benchmarks.leaderboard.results import pack
 from hrl_escape.agents import train
 from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.benchmark.agent_archive import describe_score
 from hrl_escape.benchmark.comparison import run_grid
 from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid
-from hrl_escape.benchmark.runs import get_training_folder
-from hrl_escape.benchmark.submission import Card, describe_score, pack_submission
+from hrl_escape.benchmark.run_results import get_training_folder
 from hrl_escape.sets import load_benchmark
 from studies.unseen import make_streams
 
@@ -28,7 +28,7 @@ STREAMS, TRAIN_ROOMS, READ, EVALUATIONS = 256, 1000, 2_000_000, 10
 """Of a reader of marks: rooms at once, training rooms, primitives and evaluations."""
 READ_RUNGS = ("marks-2/motifs", "marks-3/deceived", "marks-3/places")
 ON_DEMAND = ("marks-4/rules", "marks-4/wires")
-"""Rungs whose readers stand on the board and are made when asked for: agents in the package stay below 4 MB."""
+"""Rungs of the leaderboard whose agents are trained on request: agents in the package stay below 4 MB."""
 TABLE, MODEL, STRUCTURE, THREE = (f"smdp-{name}" for name in (
     "q-learning", "r-max", "factored-r-max", "factored-r-max@three-parents"))
 LEARNED = {
@@ -60,7 +60,7 @@ def train_learner(agent: str, place: str, primitives: int, out: Path) -> Path:
 
 
 def make(place: str, out: Path, primitives: int | None = None, rooms: int | None = None) -> None:
-    """Train for a rung, and write the submission."""
+    """Train for a rung, and write the archive."""
     benchmark, name = place.split("/")
     rung, reads = load_benchmark(benchmark)[name], place in (*READ_RUNGS, *ON_DEMAND)
     agent, budget = (READER, READ) if reads else LEARNED[name]
@@ -73,11 +73,11 @@ def make(place: str, out: Path, primitives: int | None = None, rooms: int | None
             run = train_learner(agent, place, primitives, Path(made))
             command = (f"hrl-escape ladder run {agent} --benchmark {benchmark} --rung {name} --protocol per-instance "
                        f"--rooms 1 --runs 1 --primitives {primitives} --eval-episodes 5")
-        card = Card.from_dict({"name": agent, "authors": ["hrl-escape"], "told": "nothing", "training": command})
+        card = {"name": agent, "authors": ["hrl-escape"], "training": command}
         path = out / place / f"{agent}.zip"
         path.parent.mkdir(parents=True, exist_ok=True)
-        packed = pack_submission(path, rung, card, str(run), Path(), rooms if reads else 1)
-        print(f"{place}: {describe_score(packed, rung)}")
+        packed = pack(path, rung, card, run, rooms if reads else 1)
+        print(f"{place}: {describe_score(packed.results, rung)}")
 
 
 def main() -> None:

@@ -245,7 +245,7 @@ class DivergenceError(EscapeError, ArithmeticError):
 
 
 class TrustError(EscapeError, ValueError):
-    """A run's folder, or a submission, refers to code outside this package and its plugins. That code was not run.
+    """A run's folder refers to code outside this package and its plugins. That code was not run.
 
     Attributes:
         names: what would be imported, each as `module:name`, or started.

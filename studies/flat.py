@@ -320,7 +320,7 @@ def run_flat(learner: FlatLearner, room: RoomInstance, seed: int, budget: int, e
                        round(time.process_time() - started, 1), key)
     env, watched, gamma = single, None, getattr(get_recipe(learner.agent), "gamma", 0.99)
     if has_goals := "hindsight_goals" in learner.settings:
-        env = single = GoalsEnv(single, escapes=1.0)
+        env = single = GoalsEnv(single, exits=1.0)
     if learner.streams:
         env = watched = RepeatedStreams(_make_many(room, learner.streams), learner.repeat, gamma)
         started = time.process_time()

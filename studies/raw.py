@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.grid import GridRun
-from hrl_escape.benchmark.runs import RunResult, get_training_folder
+from hrl_escape.benchmark.run_results import RunResult, get_training_folder
 from hrl_escape.benchmark.statistics import compute_efficiency, compute_score
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import FileReadError, describe_damage

@@ -8,7 +8,7 @@ from pathlib import Path
 from sphinx.application import Sphinx
 
 MOVED = {"schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
-         "api/comparison": "api/benchmark"}
+         "api/comparison": "api/benchmark", "board": "ladder", "extend/board": "extend/index"}
 """Former name of each page that has another name now."""
 
 

@@ -1,6 +1,6 @@
-"""Fair comparisons: grids of (agent, room, training seed), run in parallel, judged by statistics, told in a report.
+"""Benchmarks and comparisons: grids of (agent, room, training seed), run in parallel, with statistics and a report.
 
-Importing this package loads no torch and no planner.
+Importing this package loads neither torch nor planners.
 """
 
 import lazy_loader

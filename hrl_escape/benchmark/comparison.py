@@ -1,7 +1,7 @@
-"""Comparisons: all runs of a grid in one folder, in which finished runs are kept and never run twice.
+"""Comparisons: all runs of a grid in one folder; finished runs are kept.
 
-While runs are made, a line stands for each that has ended and, on a terminal, a bar with the time left.
-`summary.py` computes the results, `reporting/report.py` writes them up.
+The console shows a line for each finished run and, on a terminal, a progress bar. `summary.py` computes the results and
+`reporting/report.py` writes the report.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rich.text import Text
 from hrl_escape.benchmark.cost import describe_cost
 from hrl_escape.benchmark.grid import Grid, GridRun, load_grid
 from hrl_escape.benchmark.launching.local import Failure, Launcher, LocalLauncher
-from hrl_escape.benchmark.runs import RunResult, get_run_folder, load_run_result
+from hrl_escape.benchmark.run_results import RunResult, get_run_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
 from hrl_escape.figures import Pictured
 from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
@@ -30,7 +30,7 @@ from hrl_escape.processes import take_lock
 from hrl_escape.sets.places import RunPlace
 
 SPEED_SECONDS = 3600.0
-"""Time over which the speed is averaged that the time left follows from."""
+"""Window of the speed estimate for the remaining time."""
 
 
 class Monitor:
@@ -45,7 +45,7 @@ class Monitor:
 
     @contextmanager
     def watch(self) -> Iterator[None]:
-        """Show a bar, and the time left, while the body runs."""
+        """Show the progress bar while the body runs."""
         if not self.console.is_terminal:
             yield
             return
@@ -56,7 +56,7 @@ class Monitor:
             yield
 
     def keep(self, run: GridRun, result: RunResult) -> None:
-        """Count a run that was finished before."""
+        """Count a run of an earlier call."""
         self.results.append((run, result))
         self._kept += 1
 
@@ -73,7 +73,7 @@ class Monitor:
         self._say(failure.run, f"failed: {failure.message}", "red")
 
     def tick(self, progress: Mapping[str, int]) -> None:
-        """Move the bar to the runs that have ended and the shares that running ones have trained for."""
+        """Update the bar with finished runs and the progress of running ones."""
         if self._bar is not None:
             ended = len(self.results) + len(self.failures) - self._kept
             shares = [min(1.0, done / self.runs[folder].grid.primitives) for folder, done in progress.items()]
@@ -86,7 +86,7 @@ class Monitor:
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Pictured):
-    """Runs of a grid that have ended."""
+    """Finished and failed runs of a grid."""
 
     grid: Grid  # the settings
     places: tuple[RunPlace, ...]  # rooms, or sets of rooms, in the grid's order
@@ -102,21 +102,25 @@ class Comparison(Pictured):
 
 
 class Shard(NamedTuple):
-    """Static part of a grid's runs: every `parts`-th, beginning with number `number`."""
+    """Part of a grid's runs for one machine: every `parts`-th run, starting with run `number`."""
 
     number: int  # number of the part, from 1
     parts: int  # number of parts
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Read `2/8`; `ConfigError` where it is no part."""
+        """Parse a text such as `2/8`.
+
+        Raises:
+            ConfigError: the text is malformed.
+        """
         number, _, parts = map(parse_whole, text.partition("/"))
         if number is None or parts is None or not 1 <= number <= parts:
             raise ConfigError("shard", text, "the number of a part and how many there are, such as 2/8")
         return cls(number, parts)
 
     def choose(self, runs: Sequence[GridRun]) -> list[GridRun]:
-        """Runs of this part, in order; the parts are disjoint, and together they are all."""
+        """Return the runs of this part, in order."""
         return list(runs[self.number - 1 :: self.parts])
 
 
@@ -125,20 +129,20 @@ WHOLE = Shard(1, 1)
 
 def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None = None,
              console: Console | None = None, shard: Shard = WHOLE) -> Comparison:
-    """Run what of a grid is not finished in a folder, and return all of it.
+    """Run the unfinished runs of a grid and return the comparison.
 
-    Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
+    It starts processes, so a script needs `if __name__ == "__main__":` around the call.
 
     Args:
-        grid: what to compare.
-        out: the folder; made if missing. Runs in it that have the same settings are kept, others left alone.
-        launcher: starts the runs; processes on this machine by default.
+        grid: agents, rooms and seeds.
+        out: folder of the runs. Finished runs with the same settings are kept.
+        launcher: executes the runs; processes on this machine by default.
         console: shows progress; standard error by default.
-        shard: part of the runs to make. Machines that share the folder make one part each; `read_comparison` reads
-            what all have made.
+        shard: part of the runs to make, for several machines that share the folder; `read_comparison` then reads all
+            parts.
 
     Raises:
-        GridError: the grid has nothing to run or the same thing twice.
+        GridError: the grid has no runs, or two equal ones.
         RunBusyError: another comparison is running in this folder.
         FileWriteError: the folder cannot be written.
         EscapeError: no such room, agent or setting.
@@ -147,7 +151,7 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
     runs, out = shard.choose(every), Path(out).absolute()
     console = console or Console(stderr=True, highlight=False)
     with _lock(out, shard):
-        shared = [out, out / "rooms"] if shard == WHOLE else []  # where other parts may be writing at this moment
+        shared = [out, out / "rooms"] if shard == WHOLE else []  # other parts can be writing now
         for folder in (*shared, *(get_run_folder(out, run) for run in runs)):
             clear_unfinished(folder)
         write_json(out / "grid.json", grid.to_dict())
@@ -173,14 +177,14 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
 
 
 def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Comparison:
-    """Read the finished runs of a comparison, wherever they were made, without running or changing anything.
+    """Read the finished runs of a comparison.
 
     Args:
         out: its folder.
-        grid: what was compared; None for what the folder says.
+        grid: its grid, or None for the grid in the folder.
 
     Raises:
-        FileReadError: there is no comparison, or one of its files is damaged.
+        FileReadError: the folder has no comparison, or a file is damaged.
     """
     out = Path(out).absolute()
     grid = grid or load_grid(out / "grid.json")
@@ -190,9 +194,10 @@ def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Co
 
 
 def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, float | None]:
-    """Count a grid's runs, those to be made in a folder, and the median seconds of training of those finished.
+    """Count a grid's runs and its missing runs in a folder.
 
-    The seconds are None where none has finished.
+    Returns:
+        Number of runs, number of missing runs, and median seconds of training of finished runs or None.
     """
     (_, runs), out = _make_runs(grid), Path(out).absolute()
     seconds = [result.seconds[-1] for run in runs if (result := load_run_result(out, run)) is not None]
@@ -200,14 +205,14 @@ def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, fl
 
 
 def _make_runs(grid: Grid) -> tuple[tuple[RunPlace, ...], list[GridRun]]:
-    """Make the places and the runs of a grid, which refuses impossible ones."""
+    """Make the places and the runs of a grid."""
     places = grid.make_places()
     return places, grid.make_runs(places)
 
 
 @contextmanager
 def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
-    """One comparison at a time in a folder, or one of each part; the lock falls with the process, however it ends."""
+    """Lock a folder, or a part of it, until the process ends."""
     make_folder(out)
     with open_for_writing(out / ("lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}")) as lock:
         if not take_lock(lock):
@@ -217,7 +222,7 @@ def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
 
 
 def _read_finished(out: Path, run: GridRun, console: Console) -> RunResult | None:
-    """Result of a finished run; a damaged one is removed, so that the run is finished again from its training."""
+    """Read the result of a finished run; removes a damaged result, so the run is completed again."""
     try:
         return load_run_result(out, run)
     except FileReadError as error:

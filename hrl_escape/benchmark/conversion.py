@@ -1,11 +1,13 @@
-"""Files of version 0.3 in the form of this version: agent labels become specs, and renamed fields follow.
+"""Conversion of runs, trained agents and grids of version 0.3: agent labels become specs, and fields are renamed.
 
-Runs keep their weights, curves and settings. A run is loaded, watched, recorded and packed again; it is not resumed,
-for a run is resumed by the version that began it. Recordings are converted by `data/convert.py`.
+Runs keep their weights, curves and settings. A converted run can be loaded, watched, recorded and packed, but not
+resumed. `data/convert.py` converts recordings.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import re
 import tempfile
@@ -13,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.agents.old_fields import rename_fields
 from hrl_escape.agents.old_specs import MANAGERS, NEW_NAMES, convert_label, refuse_old
 from hrl_escape.agents.registry import split_name
 from hrl_escape.agents.spec import AgentSpec
@@ -21,6 +24,7 @@ from hrl_escape.agents.training.archive import (
     RESULT,
     RUN_ARCHIVE,
     RUN_FILES,
+    ArchiveKind,
     making_folder,
     pack_parts,
     read_parts,
@@ -29,50 +33,34 @@ from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoi
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
 from hrl_escape.agents.training.run_folder import BEST, LAST
 from hrl_escape.agents.training.run_folder import FORMAT as RUN_FORMAT
+from hrl_escape.benchmark.agent_archive import RUN, AgentCard, RoomResult, check_results, write_archive
 from hrl_escape.benchmark.grid import GRID_FORMAT, Grid
-from hrl_escape.benchmark.submission import RUN, SUBMISSION
 from hrl_escape.errors import AgentSettingsError, FileReadError, UnsupportedError
 from hrl_escape.files import open_plain, read_json, read_text, read_toml, write_json, write_text
 from hrl_escape.sets.room_spec import renew_room
 
+_SUBMISSION = ArchiveKind("a submission of version 0.3", re.compile(r"submission\.json|cells\.csv|run\.zip"),
+                          "Only submissions with a training run are converted")
 OLD_RUN_FORMAT = 2
 """Format of the runs of version 0.3."""
-MOVED = {"hrl_escape.agents.algorithms.given.": "hrl_escape.agents.algorithms.task_hierarchies.",
-         "hrl_escape.agents.larg2019.": "hrl_escape.agents.keras_rl_2019.",
-         "hrl_escape.agents.label": "hrl_escape.agents.spec",
-         "hrl_escape.comparison.places:RoomSchedule": "hrl_escape.sets.room_schedule:RoomSchedule",
-         **{f"hrl_escape.ladder.{name}:": f"hrl_escape.sets.{name}:"
-            for name in ("common_spaces", "goals", "instance_set", "sequence")},
-         "hrl_escape.synthesis.": "hrl_escape.hierarchies.",
-         "hrl_escape.text.told_env:ToldEnv": "hrl_escape.text.text_env:TextEnv"}
-"""Modules of version 0.3 whose parts have moved."""
-RENAMED = {"hrl_escape.hierarchies.hierarchy_env:HierarchyEnv": {"leaves": "low_level"},
-           "hrl_escape.text.text_env:TextEnv": {"told": "reveal"}}
-"""Arguments of environments and wrappers that have another name now, by class."""
-NEW_FIELDS = {"flavour": "option_set"}
-"""Fields that have another name now, wherever they are."""
-VALUES = {"press-markov": "press-reactive"}
-"""Names of option sets that are others now."""
 
 
 def convert_file(path: Path, out: Path) -> str:
-    """Write a file or folder of version 0.3 in the form of this version.
+    """Convert a file or folder of version 0.3 to this version.
 
     Args:
-        path: a run's folder or archive, a submission such as a pretrained agent, or a grid (.toml, .json).
-        out: what to write; it must not be there.
+        path: a run's folder or archive, the archive of a trained agent, or a grid (.toml, .json).
+        out: what to write.
 
     Returns:
-        What was converted, in words.
+        Description of the converted file.
 
     Raises:
         FileReadError: there is no such file, or it cannot be read.
         CheckpointError: a run is damaged.
-        UnsupportedError: it holds nothing to convert; the message says why.
-        FileWriteError: `out` is there already, or cannot be written.
+        UnsupportedError: the file is of another kind or version.
+        FileWriteError: `out` cannot be written.
     """
-    if out.exists():
-        raise UnsupportedError(f"{out} is there already: give another --out")
     if path.is_dir():
         return _convert_folder(path, out)
     if path.suffix.lower() in (".toml", ".json"):
@@ -81,7 +69,7 @@ def convert_file(path: Path, out: Path) -> str:
         return _convert_archive(path, out)
     if not path.exists():
         raise FileReadError(f"{path}: no such file or folder")
-    raise UnsupportedError(f"{path}: convert takes the folder or archive of a run, a submission, or a grid (.toml, "
+    raise UnsupportedError(f"{path}: convert takes the folder or archive of a run, a trained agent, or a grid (.toml, "
                            ".json)")
 
 
@@ -91,7 +79,7 @@ def convert_file(path: Path, out: Path) -> str:
 def _convert_folder(path: Path, out: Path) -> str:
     if not (path / DESCRIBED).is_file():
         if (path / "grid.json").is_file():
-            raise UnsupportedError(f"{path} is a comparison: its results count for version 0.3 alone. Convert "
+            raise UnsupportedError(f"{path} is a comparison: its results belong to version 0.3. Convert "
                                    f"{path / 'grid.json'} and run it; training folders in it convert one by one")
         raise UnsupportedError(f"{path} holds no run: there is no {DESCRIBED}")
     with making_folder(out) as made:
@@ -103,7 +91,7 @@ def _convert_folder(path: Path, out: Path) -> str:
 
 
 def _convert_run(folder: Path, where: Path) -> str:
-    """Convert the run in a folder that nobody else uses."""
+    """Convert the run in a temporary folder, in place."""
     described = read_json(folder / DESCRIBED, "description of a run")
     if not isinstance(described, dict) or described.get("format") != OLD_RUN_FORMAT:
         found = described.get("format") if isinstance(described, dict) else None
@@ -121,39 +109,21 @@ def _convert_run(folder: Path, where: Path) -> str:
 
 
 def convert_run_description(described: Mapping[str, Any]) -> dict[str, Any]:
-    """The description of a run of version 0.3 in the form of this version."""
+    """Convert the description of a run of version 0.3."""
     made = rename_fields(described)
     return {**made, "format": RUN_FORMAT, "name": _convert_name(described["name"])}
 
 
 def _convert_name(name: str) -> str:
-    """Name of an agent in a description, which says elsewhere what its choices are."""
+    """Convert the name of an agent in a description, whose options are in other fields."""
     return NEW_NAMES.get(name, name)
-
-
-def rename_fields(value: Any) -> Any:
-    """JSON value with the new places of classes, and the new names of fields, arguments and option sets."""
-    if isinstance(value, list):
-        return [rename_fields(each) for each in value]
-    if isinstance(value, str):
-        for old, new in MOVED.items():
-            if value.startswith(old):
-                return new + value.removeprefix(old)
-        return VALUES.get(value, value)
-    if not isinstance(value, Mapping):
-        return value
-    made = {NEW_FIELDS.get(name, name): rename_fields(each) for name, each in value.items()}
-    names = RENAMED.get(made.get("class", ""), {}) if isinstance(made.get("class", ""), str) else {}
-    if names and isinstance(made.get("arguments"), dict):
-        made["arguments"] = {names.get(name, name): each for name, each in made["arguments"].items()}
-    return made
 
 
 # --- archives --------------------------------------------------------------------------
 
 
 def _convert_archive(path: Path, out: Path) -> str:
-    """Convert the archive of a run, or a submission, in which the archive of a run may be."""
+    """Convert the archive of a run, or a submission with the archive of a run in it."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         names = _list_members(path)
@@ -164,16 +134,16 @@ def _convert_archive(path: Path, out: Path) -> str:
             return said
         if "submission.json" not in names:
             raise UnsupportedError(f"{path} is neither the archive of a run nor a submission")
-        read_parts(path, SUBMISSION, ["submission.json"], folder)
-        entry = read_json(folder / "submission.json", "submission")
-        write_json(folder / "submission.json", convert_entry(entry))
-        if RUN in names:
-            packed = folder / "packed.zip"
-            (folder / RUN).rename(folder / "old.zip")
-            _convert_archive(folder / "old.zip", packed)
-            packed.rename(folder / RUN)
-        pack_parts(out, _list_parts(folder, names), SUBMISSION)
-        return f"the submission {entry['card']['name']!r}"
+        if RUN not in names:
+            raise UnsupportedError(f"{path} is a submission without a training run, which the leaderboard in the "
+                                   "source code keeps as a result file; see benchmarks/leaderboard")
+        read_parts(path, _SUBMISSION, ["submission.json", "cells.csv"], folder)
+        card = AgentCard.from_dict(convert_card(read_json(folder / "submission.json", "submission")))
+        results = convert_cells(read_text(folder / "cells.csv", "results of a submission"))
+        check_results(card, results)
+        _convert_archive(folder / RUN, folder / "converted.zip")
+        write_archive(out, card, results, folder / "converted.zip")
+        return f"the trained agent {card.name!r}"
 
 
 def _list_members(path: Path) -> list[str]:
@@ -190,14 +160,23 @@ def _list_parts(folder: Path, names: Iterable[str]) -> dict[str, Path | bytes]:
     return {name: folder / name for name in names}
 
 
-def convert_entry(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Statement of a submission of version 0.3 in the form of this version."""
-    card = entry["card"]
+def convert_card(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert the card of a submission of version 0.3."""
+    card = rename_fields(entry["card"])
     options = card["view"]["options"] if card["view"]["choices"] == "options" else {}
     name = convert_text(card["name"]) if options == {} or not _is_label(card["name"]) else convert_label(
         card["name"], options.get("include_primitives"))
-    return {**rename_fields(entry), "agent": _convert_name(entry["agent"]),
-            "card": {**rename_fields(card), "name": name, "training": convert_text(card["training"])}}
+    same = ("authors", "link", "primitives", "core_hours", "view")
+    return {**{field: card[field] for field in same}, "name": name, "agent": _convert_name(entry["agent"]),
+            "information": card["told"], "training": convert_text(card["training"]),
+            **{field: entry[field] for field in ("benchmark", "rung", "root", "rooms", "package")}}
+
+
+def convert_cells(text: str) -> list[RoomResult]:
+    """Convert the table of results of a submission of version 0.3."""
+    return [RoomResult(int(row["room"]), row["escaped"] == "1", int(row["primitives"]), int(row["decisions"]),
+                       float(row["total"]), float(row["fewest"]))
+            for row in csv.DictReader(io.StringIO(text)) if row["set"] == "test"]
 
 
 # --- grids -----------------------------------------------------------------------------
@@ -210,8 +189,11 @@ def _convert_grid_file(path: Path, out: Path) -> str:
         raise UnsupportedError(f"{path}: this is no grid, for it has no agents")
     if "format" in content:
         raise UnsupportedError(f"{path}: this grid is of format {content['format']} already")
+    if content.get("until_solved") is not None:
+        raise UnsupportedError(f"{path}: grids have no until_solved any more; give `train` a probe, such as "
+                               "studies/scaling/solved_probe.py of the source code")
     made = {"format": GRID_FORMAT, **convert_grid(content)}
-    Grid.from_dict({"agents": made["agents"]})  # refuses what no agent is
+    Grid.from_dict({"agents": made["agents"]})  # raises for unknown agents
     if is_toml:
         comments = [line for line in read_text(path, "grid").splitlines() if line.startswith("#")]
         write_text(out, "".join(f"{line}\n" for line in comments) + write_toml(made))
@@ -221,15 +203,16 @@ def _convert_grid_file(path: Path, out: Path) -> str:
 
 
 def convert_grid(content: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of a grid of version 0.3 with the agents and the texts of rooms of this version."""
+    """Convert the table of a grid of version 0.3."""
     rooms = {name: [renew_room(room) for room in content[name]]
              for name in ("rooms", "train_rooms", "test_rooms") if name in content}
-    return {**content, **rooms, "agents": [convert_label(agent) if isinstance(agent, str) else _convert_agent(agent)
+    kept = {name: value for name, value in content.items() if name != "until_solved" or value is not None}
+    return {**kept, **rooms, "agents": [convert_label(agent) if isinstance(agent, str) else _convert_agent(agent)
                                            for agent in content["agents"]]}
 
 
 def _convert_agent(agent: Mapping[str, Any]) -> dict[str, Any]:
-    """The table of an agent: an agent over options chose primitives too, where nothing else is said."""
+    """Convert the table of an agent; agents over options also chose primitives by default."""
     name, recipe = agent.get("name", "random"), agent.get("recipe", "corrected")
     options = dict(agent.get("options", {}))
     spec = AgentSpec.parse(convert_label(f"{name}@{recipe}", options.pop("include_primitives", True)))
@@ -262,7 +245,7 @@ _WORD = re.compile(r"(?<![\w+@/.-])[a-z0-9-]+(?:@[a-z0-9-]+)?(?:\+[a-z-]+)*(?![\
 
 
 def _is_label(word: str) -> bool:
-    """Return whether a word is a label of version 0.3 that has another text now."""
+    """Return whether a word is a label of version 0.3 with a new spec."""
     try:
         refuse_old(word)
     except AgentSettingsError:
@@ -271,13 +254,13 @@ def _is_label(word: str) -> bool:
 
 
 def convert_text(text: str) -> str:
-    """Text, such as a command, in which each label of version 0.3 is the spec of this version."""
+    """Replace each label of version 0.3 in a text, such as a command, by its spec."""
     return _WORD.sub(lambda match: convert_label(match[0]) if _is_label(match[0]) and match[0] != "planner"
                      else match[0], text)
 
 
 def write_toml(value: Mapping[str, Any]) -> str:
-    """TOML document of a table of JSON values; tables in it are written inline."""
+    """Format a table of JSON values as TOML, with inline tables."""
     return "".join(f"{_write_key(name)} = {_write(each)}\n" for name, each in value.items() if each is not None)
 
 

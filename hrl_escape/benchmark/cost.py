@@ -1,8 +1,8 @@
-"""Cost of training before it begins: seconds of one core, by the rates of published runs.
+"""Estimated cost of training, in seconds of one core, from the rates of published runs.
 
-`costs.json` holds the seconds that a thousand primitives took each agent, by the number of buttons, as studies measured
-them; `python -m benchmarks.ladder costs` writes it. Between these numbers rates are interpolated, beyond them
-the nearest holds. Evaluations come on top.
+`costs.json` holds the seconds per thousand primitives of each agent by the number of buttons;
+`python -m benchmarks.ladder costs` writes it. Rates are interpolated between these numbers and constant beyond them.
+Evaluations are not included.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hrl_escape.sets.places import RunPlace
 from hrl_escape.sets.room_sequence import list_sets
 
 Rates = Mapping[str, Mapping[int, float]]
-"""Seconds of one core for a thousand primitives, by agent and number of buttons."""
+"""Seconds of one core per thousand primitives, by agent and number of buttons."""
 
 
 @cache
@@ -34,22 +34,22 @@ def load_rates() -> Rates:
 
 
 def estimate_rate(agent: str, buttons: float, rates: Rates) -> float | None:
-    """Seconds of one core for a thousand primitives; None for an agent without published runs."""
+    """Return the seconds of one core per thousand primitives, or None for an agent without published runs."""
     known = rates.get(agent)
     return None if known is None else float(np.interp(buttons, list(known), list(known.values())))
 
 
 def count_buttons(config: RoomConfig) -> float:
-    """Mean number of targets in rooms of a room configuration, over ten of them."""
+    """Return the mean number of targets in ten rooms of a configuration."""
     return float(np.mean([sample_puzzle(config, seed)[0].puzzle.count_targets() for seed in range(10)]))
 
 
 def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterable[float], runs: int, rates: Rates
                    ) -> tuple[float, list[str]]:
-    """Core hours of training of the agents that learn and whose rate is known, and the labels of learners without one.
+    """Estimate the core hours of training, and return the labels of learners without a known rate.
 
-    Each makes so many runs of so many primitives in each place, a room or a set, whose (mean) numbers of buttons are
-    given.
+    Every agent makes the given number of runs, each with the given number of primitives, in each place with the given
+    mean number of buttons.
     """
     seconds, unknown, places = 0.0, [], list(buttons)
     for agent in agents:
@@ -61,9 +61,9 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
 
 
 def describe_cost(grid: Grid, places: Iterable[RunPlace]) -> str:
-    """Words, for a console, on the time of a core that training in all places of a grid takes."""
+    """Describe the estimated core time of a grid for the console."""
     if not any(agent.learns for agent in grid.agents):
-        return "nothing learns, so nothing is trained"
+        return "no agent is trained"
     hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, places), grid.runs, load_rates())
     names = ", ".join(map(make_console_text, unknown))
     return (f"about {tell_seconds(3600 * hours)} of training on one core by published rates"

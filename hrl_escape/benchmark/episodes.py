@@ -1,7 +1,6 @@
-"""A record of the room's states in an episode, progress in it, and callbacks on every primitive.
+"""Recorder of a room's states in an episode, with progress and callbacks for every primitive.
 
-Recording changes nothing in the environment and adds `progress` to its `info`. A callback may take its time, and may
-stop the episode by raising.
+Recording does not change the environment; it adds `progress` to its `info`. A callback can stop the episode by raising.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from hrl_escape.errors import UnsupportedError
 
 
 class PrimitiveStep(NamedTuple):
-    """One primitive and its transition."""
+    """A primitive and its transition."""
 
     before: RoomState
     primitive: int
@@ -34,21 +33,21 @@ class PrimitiveStep(NamedTuple):
 
 
 class StateRecorder(gymnasium.Wrapper):
-    """Record of the room's states in the present episode; goes between a room and its `OptionsEnv`.
+    """Wrapper between a room and its `OptionsEnv` that records the states of the current episode.
 
     `info["progress"]` is the largest `compute_progress` of the puzzle so far in the episode; 1 once the robot has
     escaped.
 
     Attributes:
-        states: the first one, and one a primitive.
-        events: what happened in each primitive.
-        starts: first states of this episode and of those before it, back to the last reset with a seed.
-        on_step: called after every primitive, those inside options included.
+        states: the first state, and the state after each primitive.
+        events: events of each primitive.
+        starts: first states of all episodes since the last reset with a seed.
+        on_step: called after every primitive, including primitives of options.
         before_step: called before every primitive.
         on_reset: called with the first state of an episode.
     """
 
-    is_passive = True  # runs with and without it are the same
+    is_passive = True  # it does not affect a run
 
     def __init__(self, env: gymnasium.Env) -> None:
         super().__init__(env)
@@ -98,7 +97,11 @@ class StateRecorder(gymnasium.Wrapper):
 
 
 def find_recorder(env: gymnasium.Env) -> StateRecorder:
-    """The recorder among the wrappers of a room; `UnsupportedError` where there is none."""
+    """Find the recorder among the wrappers of a room.
+
+    Raises:
+        UnsupportedError: there is no recorder.
+    """
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, StateRecorder):
             return env

@@ -1,7 +1,7 @@
-"""Grids: the agents, rooms and training seeds of a comparison, as frozen settings that read from TOML.
+"""Grids: agents, rooms and training seeds of a comparison, as frozen settings that can be read from TOML.
 
-A grid is data and knows neither processes nor files; `runs.py` executes one run, `launching` all of them. Every
-agent meets the same rooms, seeds and evaluation episodes (a paired design).
+All agents have the same rooms, seeds and evaluation episodes (a paired design). `execution.py` executes one run,
+`launching` all of them.
 """
 
 from __future__ import annotations
@@ -36,23 +36,6 @@ DEFAULT_ROOMS = (RoomSpec("paper-two-button"),)
 
 
 @dataclasses.dataclass(frozen=True)
-class SolvedRule(Settings):
-    """End of a run before its budget: its agent has solved the room.
-
-    It has once two checks of its frozen policy in a row are near the best and, if it learns a dependency graph,
-    that graph is the true one. A random agent, which gets no better, is done with its first escape.
-    """
-
-    _section = "until_solved"
-    score: float
-    """Score near the best, from no escape (0) to the best return of the agent's actions (1)."""
-    check_every: Annotated[int, Range(1, LARGEST, "primitives")] = 500
-    """Between checks of one episode each, from the first escape on."""
-    graph_every: Annotated[int, Range(1, LARGEST, "primitives")] = 100
-    """Between comparisons of the graph."""
-
-
-@dataclasses.dataclass(frozen=True)
 class Grid(Settings):
     """A comparison: every agent in every room with every training seed."""
 
@@ -64,21 +47,21 @@ class Grid(Settings):
     agents: tuple[AgentSpec, ...] = (AgentSpec("random"),)
     """Agents to compare, each in every room: specs, their texts, or agent classes; labels must differ."""
     rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
-    """Rooms to train and be tested in, one after another, as texts such as clutter#3; empty with `train_rooms`."""
+    """Rooms for both training and evaluation, as texts such as clutter#3; empty with `train_rooms`."""
     train_rooms: tuple[str, ...] = ()
-    """Sets of rooms to train in, such as ladder-1/lattice/train#0..64 or clutter#0..16; see `sets.grammar`."""
+    """Training sets, such as ladder-1/lattice/train#0..64 or clutter#0..16; see `sets.grammar`."""
     test_rooms: tuple[str, ...] = ()
-    """Sets of rooms to be tested in: one for all `train_rooms`, or one for each."""
+    """Test sets: one for all `train_rooms`, or one for each."""
     runs: Annotated[int, Range(1, 10_000)] = 10
-    """Training seeds in each room; ten or more in a published table."""
+    """Number of training seeds in each room; use ten or more for published tables."""
     first_seed: Annotated[int, Range(0, 2**31)] = 0
     """First of the training seeds."""
     primitives: Annotated[int, Range(1, LARGEST, "primitives")] = 20_000
     """Training budget of a run."""
     decisions: Annotated[int, Range(1, LARGEST)] | None = None
-    """Largest number of decisions in a run; None for no limit."""
+    """Largest number of decisions in a run, or None for no limit."""
     eval_every: Annotated[int, Range(1, LARGEST, "primitives")] | None = None
-    """Primitives between evaluations; None for a twentieth of the budget."""
+    """Primitives between evaluations, or None for a twentieth of the budget."""
     eval_episodes: Annotated[int, Range(1, 10_000)] = 5
     """Episodes in an evaluation, the same for all agents."""
     eval_seed: Annotated[int, Range(0, 2**31)] = 0
@@ -86,9 +69,7 @@ class Grid(Settings):
     observation: str = "features"
     """Vector observation of every agent."""
     trials: Annotated[int, Range(1, 1000)] = 1
-    """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `SequenceEnv`."""
-    until_solved: SolvedRule | None = None
-    """Rule that ends a run before its budget; None for none."""
+    """Trials per episode in each room of `train_rooms` and `test_rooms`; memories persist. See `SequenceEnv`."""
     format: Literal[2] = GRID_FORMAT
     """Version of the fields."""
 
@@ -124,14 +105,12 @@ class Grid(Settings):
         if len(self.test_rooms) not in (1, len(self.train_rooms)):
             raise GridError(f"grid {self.name!r}: {len(self.train_rooms)} train_rooms go with one set of test_rooms, "
                             f"or as many, not {len(self.test_rooms)}")
-        if self.until_solved is not None:
-            raise GridError(f"grid {self.name!r}: until_solved is about one room, not about train_rooms")
         given = [agent.label for agent in self.agents if agent.low_level is not None]
         if self.trials > 1 and given:
             raise GridError(f"grid {self.name!r}: the hierarchy of {given[0]} ends with an episode: give it no trials")
 
     def make_places(self) -> tuple[RunPlace, ...]:
-        """Rooms, or sets of rooms, in which the runs are made.
+        """Make the rooms or sets of rooms of the runs.
 
         Raises:
             EscapeError: no such preset, set or file; an impossible room configuration.
@@ -143,7 +122,7 @@ class Grid(Settings):
                      for train, test in zip(self.train_rooms, tests, strict=True))
 
     def _check_transfer(self, resolved: Sequence[Mapping[str, Any]]) -> None:
-        """Require that agents can act in rooms of another room configuration than they train in."""
+        """Require that agents can act in rooms of another configuration than in training."""
         if self.observation != "objects":
             raise GridError(f"grid {self.name!r}: rooms of different configurations have no observation in common but "
                             f"objects; set observation to objects, not {self.observation}")
@@ -151,30 +130,30 @@ class Grid(Settings):
             if agent.learns and settings.get("network") != "objects":
                 cure = (f"set network to objects, in short {agent.label}+objects" if "network" in settings else
                         "take one with a setting network, such as dqn+objects or ppo+objects")
-                raise GridError(f"{agent.label} cannot act in rooms of another room configuration than it trains in: "
-                                f"what it learns is tied to the number of objects; {cure}")
+                raise GridError(f"{agent.label} cannot act in rooms of another configuration than in training, "
+                                f"because its network depends on the number of objects; {cure}")
 
     @property
     def evaluation_step(self) -> int:
-        """Primitives of training between evaluations: `eval_every`, or a twentieth of the budget if that is 0."""
+        """Primitives of training between evaluations: `eval_every`, or a twentieth of the budget."""
         return self.eval_every or max(1, self.primitives // 20)
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Build from nested dicts; agents and rooms may be short texts, see `AgentSpec.parse`, `RoomSpec.parse`."""
+        """Build from nested dicts; agents and rooms can be short texts, see `AgentSpec.parse`, `RoomSpec.parse`."""
         if isinstance(data, Mapping) and isinstance(data.get("rooms"), list):
             rooms = [RoomSpec.parse(item).to_dict() if isinstance(item, str) else item for item in data["rooms"]]
             data = {**data, "rooms": rooms}
         return super().from_dict(data)
 
     def make_runs(self, places: Sequence[RunPlace]) -> list[GridRun]:
-        """All runs, in the order they are best run: seed by seed, so that early results compare everybody.
+        """Make all runs, ordered by seed, so early results include all agents.
 
         Args:
             places: from `make_places`.
 
         Raises:
-            GridError: two rooms, or two agents, are the same.
+            GridError: two rooms or two agents are equal.
             EscapeError: an agent or one of its settings does not exist.
         """
         _refuse_duplicates("room", [place.id for place in places])
@@ -196,8 +175,8 @@ class Grid(Settings):
 class GridRun:
     """One run of a grid."""
 
-    grid: Grid  # what it is a part of
-    number: int  # which agent
+    grid: Grid  # the grid
+    number: int  # number of the agent
     settings: dict[str, Any]  # that agent's settings, resolved
     place_id: str  # content hash of the room, or of the sets of rooms
     room: str  # its name in tables
@@ -210,22 +189,22 @@ class GridRun:
 
     @property
     def name(self) -> str:
-        """Agent, room and training seed, as messages name the run."""
+        """Agent, room and training seed, for messages."""
         return f"{self.agent.label}, {self.room}, seed {self.seed}"
 
     @property
     def source(self) -> str:
-        """Agent and training seed, as the origin of a return."""
+        """Agent and training seed, as the source of a return."""
         return f"{self.agent.label}, seed {self.seed}"
 
     @property
     def eval_seed(self) -> int:
-        """Fixes its evaluation episodes: the same for every agent, others for each training seed."""
+        """Seed of its evaluation episodes: the same for all agents, different for each training seed."""
         return self.grid.eval_seed + self.seed
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Everything that decides its numbers, as a JSON value; labels and other runs do not."""
+        """Everything that decides the numbers of the run, as a JSON value; labels are not included."""
         identity = {
             "version": __version__,
             "versions": find_versions(),
@@ -241,35 +220,34 @@ class GridRun:
             "eval_seed": self.eval_seed,
             "seed": self.seed,
         }
-        rule, trials = self.grid.until_solved, self.grid.trials
-        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None,
-                     "until_solved": None if rule is None else rule.to_dict()}
+        trials = self.grid.trials
+        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None}
         return identity | {name: value for name, value in asked_for.items() if value is not None}
 
     @cached_property
     def key(self) -> str:
-        """Hash of its identity: the same numbers, the same key, whatever grid it is in."""
+        """Hash of the identity, equal in all grids."""
         text = json.dumps(self.identity, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:10]
 
     @cached_property
     def folder(self) -> str:
-        """Name of its folder: readable, and its key."""
+        """Name of its folder, which ends with the key."""
         return f"{make_file_name(f'{self.agent.label}--{self.room}--seed-{self.seed}')}--{self.key}"
 
 
 def _refuse_duplicates(what: str, names: Sequence[str]) -> None:
     repeated = sorted(name for name, count in Counter(names).items() if count > 1)
     if repeated:
-        raise GridError(f"the same {what} twice: {', '.join(repeated)}. Remove one, or change what tells them apart")
+        raise GridError(f"the same {what} twice: {', '.join(repeated)}. Remove one, or make them differ")
 
 
 def load_grid(path: str | Path) -> Grid:
-    """Read a grid from a TOML or JSON file; files of rooms are looked for beside it.
+    """Read a grid from a TOML or JSON file; paths of rooms are relative to its folder.
 
     Raises:
-        FileReadError: the file is missing, or neither.
-        GridError: it holds no possible grid, or one of version 0.3; the message names file and field.
+        FileReadError: the file is missing or malformed.
+        GridError: the grid is impossible or of version 0.3; the message names file and field.
     """
     path = Path(path)
     content = read_toml(path, "grid") if path.suffix.lower() == ".toml" else read_json(path, "grid")

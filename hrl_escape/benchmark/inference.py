@@ -1,11 +1,11 @@
-"""Inference over few runs: intervals that hold for bounded scores, paired tests, and Holm's correction.
+"""Inference from few runs: intervals for bounded scores, paired tests, and correction for multiple comparisons.
 
-Intervals draw weights of the runs instead of runs: a flat Dirichlet law over them and one more value, the lowest
-possible for the lower end and the highest for the upper end (Gaffke 2005). For the mean of zeros and ones this is the
-interval of Clopper and Pearson, so it holds where a bootstrap of eight equal runs has no width at all. Comparisons are
-paired by room and training seed. `benchmarks/calibration.py` measures how often both are wrong.
+Intervals draw weights of the runs from a flat Dirichlet distribution over the runs and one more value: the lowest
+possible score for the lower end, the highest for the upper end (Gaffke 2005). For the mean of zeros and ones this is
+the interval of Clopper and Pearson; unlike a bootstrap it has a positive width for equal runs. Comparisons are paired
+by room and training seed. `benchmarks/calibration.py` measures the error rates of intervals and tests.
 
-All pairs of agents of a comparison make up one family, for a verdict may look at any two, and at the best of several.
+All pairs of agents of a comparison are one family, because a verdict can refer to any pair.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ RESAMPLES = 2_000
 
 
 class Statistic(Protocol):
-    """Statistic of scores, (..., runs) a room, and of their weights, which add up to 1 in each room."""
+    """Statistic of scores, (..., runs) for each room, with weights that add up to 1 in each room."""
 
     def __call__(self, scores: Scores, weights: Scores | None = None, /) -> Floats:
-        """Compute it; without weights all scores of a room weigh the same."""
+        """Compute the statistic; without weights all scores of a room have equal weights."""
         ...
 
 
 class Estimate(NamedTuple):
-    """A number and its 95 % interval; `f"{estimate:.2f}"` is `0.91 (0.87 to 0.94)`.
+    """Estimate with its 95 % interval; `f"{estimate:.2f}"` is `0.91 (0.87 to 0.94)`.
 
-    The text leaves an interval without width out: no runs that are all equal say how far others would be.
+    The text omits an interval without width.
     """
 
     value: float
@@ -51,9 +51,10 @@ class Estimate(NamedTuple):
 
 def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, float], rng: np.random.Generator,
                      resamples: int = RESAMPLES, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """Interval of a statistic of bounded scores that grows with them, such as their mean or interquartile mean.
+    """Compute the interval of a monotone statistic of bounded scores, such as the mean or interquartile mean.
 
-    Scores are (..., runs) a room, `bounds` the lowest and highest possible. Both ends have the statistic's own shape.
+    Scores are (..., runs) for each room, `bounds` the lowest and highest possible. The ends have the shape of the
+    statistic.
     """
     weights = [draw_weights(room.shape[-1], resamples, rng).reshape(resamples, *[1] * (room.ndim - 1), -1)
                for room in scores]
@@ -62,11 +63,11 @@ def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, 
 
 def compute_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, float], weights: Scores
                  ) -> tuple[Floats, Floats]:
-    """Draws (resamples, ...) of a statistic with the lowest possible score added, and with the highest.
+    """Draw a statistic (resamples, ...) with the lowest possible score added, and with the highest.
 
-    The share of the first at or below a level is the p-value of a statistic above that level, the share of the second
-    at or above it that of a statistic below. Scores are (..., runs) a room, weights, from `draw_weights`,
-    (resamples, ..., runs + 1).
+    The share of the first draws at or below a level is the p-value for a statistic above it; the share of the second
+    draws at or above a level is the p-value for a statistic below it. Scores are (..., runs) for each room, weights
+    from `draw_weights` (resamples, ..., runs + 1).
     """
     lower, upper = (statistic([np.concatenate([room, np.full((*room.shape[:-1], 1), bound)], axis=-1)
                                for room in scores], weights) for bound in bounds)
@@ -74,23 +75,23 @@ def compute_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, floa
 
 
 def cut_interval(lower: Floats, upper: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """Ends of the interval of this confidence, from what `compute_ends` drew."""
+    """Return the ends of an interval from the draws of `compute_ends`."""
     return np.quantile(lower, (1 - level) / 2, axis=0), np.quantile(upper, (1 + level) / 2, axis=0)
 
 
 def draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Floats:
-    """Weights (resamples, count + 1) by a flat Dirichlet law: of `count` values, and of the one that is added."""
+    """Draw weights (resamples, count + 1) from a flat Dirichlet distribution: `count` values and the added one."""
     drawn = rng.standard_exponential((resamples, count + 1))
     drawn /= drawn.sum(axis=-1, keepdims=True)
     return drawn
 
 
 def compute_wilson_interval(share: float, tries: int) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share (Wilson 1927).
+    """Compute Wilson's 95 % interval of a share (Wilson 1927).
 
     Args:
-        share: observed; where a try is itself a share of episodes, the mean of these.
-        tries: independent ones. Episodes of one run are not independent, runs are.
+        share: observed share; if a try is a share of episodes, the mean over tries.
+        tries: number of independent tries, such as runs; episodes of one run are not independent.
     """
     z2 = float(special.ndtri((1 + LEVEL) / 2)) ** 2
     middle = (share + z2 / (2 * tries)) / (1 + z2 / tries)
@@ -102,22 +103,22 @@ class PairedTest(NamedTuple):
     """Difference between two agents over the runs they share."""
 
     difference: float  # mean over rooms of the mean difference
-    low: float  # lower end of its interval, of 95 % unless another level was asked for
+    low: float  # lower end of its interval, 95 % by default
     high: float  # upper end
     p: float  # two-sided
     pairs: int  # (room, seed) pairs
 
 
 def compare_pairs(differences: Sequence[NDArray[np.float64]], level: float = LEVEL) -> PairedTest:
-    """Student's t test of paired differences, rooms as strata of equal weight (Satterthwaite's degrees of freedom).
+    """Paired t test with rooms as strata of equal weight and Satterthwaite's degrees of freedom.
 
-    Where the differences of every room are equal there is no spread to divide by, and the interval has no width. The
-    p-value is then a bound: two independent runs of one law differ by some given d other than 0 with a chance of 1/4
-    at most (x + d and x, each in half of all runs), so that n of them all differ by one d with a chance of 4^(1 - n)
-    at most. The test of signs would say 2^(1 - n), for any law that is symmetric: of five differences that are more
-    than Student's t says of four and a zero.
+    If the differences in every room are equal, the interval has no width and the p-value is an upper bound. Two
+    independent runs of one distribution differ by a given d other than 0 with probability at most 1/4 (x + d and x,
+    each in half of all runs), so n pairs all differ by one d with probability at most 4^(1 - n).
 
-    Differences are (seeds,) a room, first agent less second in the same room with the same seed.
+    Args:
+        differences: (seeds,) for each room, first agent minus second with the same seed.
+        level: confidence of the interval.
     """
     count = sum(map(len, differences))
     rooms = [room for room in differences if len(room)]
@@ -136,9 +137,10 @@ def compare_pairs(differences: Sequence[NDArray[np.float64]], level: float = LEV
 
 
 def correct_by_holm(p: Sequence[float]) -> list[float]:
-    """Adjust the p-values of a family of comparisons, so that one below 0.05 is wrong in 5 % of families at most.
+    """Adjust the p-values of a family of comparisons by Holm's method (1979).
 
-    Holm (1979): the k-th smallest of n is multiplied by n - k + 1, and none falls below a smaller one's.
+    The k-th smallest of n p-values is multiplied by n - k + 1, and adjusted values are monotone. A value below 0.05 is
+    a false finding in at most 5 % of families.
     """
     adjusted, largest = [0.0] * len(p), 0.0
     for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
@@ -148,7 +150,7 @@ def correct_by_holm(p: Sequence[float]) -> list[float]:
 
 
 ALPHA = 0.05
-"""Highest probability that a verdict calls some agent better though all are alike."""
+"""Largest probability of a false finding in a comparison of equal agents."""
 IMPROVEMENT_RESAMPLES = 1_000
 
 Finals: TypeAlias = Mapping[tuple[str, int], float]
@@ -160,12 +162,12 @@ class Pair:
     """Two agents compared."""
 
     improvement: Estimate  # share of pairs in which the first is above the second, ties half
-    difference: Estimate  # of mean efficiency, first less second; the interval is not corrected for other comparisons
-    p: float  # two-sided, corrected over the family; 1 where one of the two is not in it
+    difference: Estimate  # of mean efficiency, first minus second; its interval is not corrected
+    p: float  # two-sided, corrected over the family; 1 if one of the agents is not in it
     count: int  # (room, seed) pairs
 
     def turn(self) -> Pair:
-        """Same comparison with first and second exchanged."""
+        """Return the comparison with first and second exchanged."""
         share, gain = self.improvement, self.difference
         return Pair(Estimate(1 - share.value, 1 - share.high, 1 - share.low),
                     Estimate(-gain.value, -gain.high, -gain.low), self.p, self.count)
@@ -175,13 +177,13 @@ ITSELF = Pair(Estimate(0.5, 0.5, 0.5), Estimate(0.0, 0.0, 0.0), 1.0, 0)
 
 
 def is_better(pair: Pair) -> bool:
-    """True if the runs, at least `LEAST_RUNS` pairs of them, show that the first scores above the second."""
+    """Return whether the first agent is significantly better, from at least `LEAST_RUNS` pairs of runs."""
     return pair.count >= LEAST_RUNS and pair.p < ALPHA and pair.difference.value > 0
 
 
 def compare_agents(finals: Sequence[Finals], in_family: Sequence[bool], rng: np.random.Generator,
                    resamples: int = IMPROVEMENT_RESAMPLES) -> tuple[tuple[Pair, ...], ...]:
-    """Compare all agents with each other; `in_family` is False for a reference that nothing is claimed of."""
+    """Compare all agents with each other; `in_family` is false for references without claims."""
     couples = list(itertools.combinations(range(len(finals)), 2))
     found = {couple: _compare(finals[couple[0]], finals[couple[1]], rng, resamples) for couple in couples}
     family = [couple for couple in couples if in_family[couple[0]] and in_family[couple[1]]]
@@ -205,7 +207,7 @@ def _compare(first: Finals, second: Finals, rng: np.random.Generator, resamples:
 
 
 def _subtract(first: Finals, second: Finals) -> list[Floats]:
-    """Differences (pairs,) a room, over the pairs that both have."""
+    """Return the differences (pairs,) for each room, over common pairs."""
     rooms: dict[str, list[float]] = {}
     for room, seed in first:
         if (room, seed) in second:

@@ -1,4 +1,4 @@
-"""Recorded episodes of an agent, primitive by primitive, which a notebook or a report plays."""
+"""Recorded episodes of an agent, primitive by primitive, for notebooks and reports."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from hrl_escape.step_info import read_option
 
 @dataclass(frozen=True, repr=False)
 class RecordedEpisode:
-    """A played episode of a room. In a notebook it plays itself.
+    """Recorded episode in a room. Notebooks show it as an animation.
 
     Attributes:
         instance: the room.
-        states: the first one, and one a primitive.
-        decisions: name, number of primitives and how it ended (`reached`, `timeout`, ...) of each, in order.
+        states: the first state, and the state after each primitive.
+        decisions: name, number of primitives and ending (`reached`, `timeout`, ...) of each decision, in order.
         total: undiscounted return.
         success: the robot escaped.
     """
@@ -57,7 +57,7 @@ class RecordedEpisode:
 
 @contextmanager
 def _recording(env: gymnasium.Env) -> Iterator[tuple[gymnasium.Env, StateRecorder]]:
-    """Put a recorder below all wrappers but Gymnasium's own for the time being, unless there is one."""
+    """Insert a recorder temporarily below all wrappers except Gymnasium's own, unless there is one."""
     lowest, inner = None, env
     while isinstance(inner, gymnasium.Wrapper):
         if isinstance(inner, StateRecorder):
@@ -78,16 +78,16 @@ def _recording(env: gymnasium.Env) -> Iterator[tuple[gymnasium.Env, StateRecorde
 
 
 def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> RecordedEpisode:
-    """Play one greedy episode of a room and keep it.
+    """Play and record one greedy episode in a room.
 
     Args:
-        agent: acts with frozen weights; or the name of a reference, such as `search-nearest`.
-        env: a room, or what wraps one, such as an `OptionsEnv`; reset with `seed` first.
-        seed: the episode's.
+        agent: agent with frozen weights, or the name of a reference such as `search-nearest`.
+        env: a room with any wrappers, such as an `OptionsEnv`.
+        seed: episode seed.
 
     Raises:
-        UnsupportedError: the environment is no room.
-        UnknownNameError: no reference has this name.
+        UnsupportedError: the environment is not a room.
+        UnknownNameError: no such reference.
     """
     if isinstance(agent, str) and agent not in REFERENCES:
         raise UnknownNameError("reference", agent, REFERENCES)

@@ -1,4 +1,4 @@
-"""Best known returns that agents have beaten in evaluations: raised, with a warning, for all that follows."""
+"""Best known returns of rooms, raised with a warning when an evaluation beats them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,15 @@ if TYPE_CHECKING:
 
 def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Sequence[float],
                    evaluations: Iterable[Evaluation], source: str) -> None:
-    """Raise the `best` known return of each episode, by its start, that evaluations have beaten, and warn.
+    """Raise the best known returns that evaluations have beaten, and warn.
 
-    `source` is agent and seed in words; see `record_return`.
+    Args:
+        starts: room and first state of each episode.
+        best: best known return of each episode.
+        evaluations: of the run.
+        source: agent and seed, for the warning.
     """
-    from hrl_escape.planning.best_known import record_return  # brings the planners in
+    from hrl_escape.planning.best_known import record_return  # loads the planners
 
     for evaluation in evaluations:
         episodes = zip(starts, best, evaluation.returns, evaluation.lengths, strict=True)
@@ -31,12 +35,11 @@ def record_returns(starts: Sequence[tuple[RoomInstance, RoomState]], best: Seque
 
 
 def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequence[Evaluation], source: str) -> None:
-    """Raise the best known returns of a room that the escapes of a training run have beaten, and warn.
+    """Raise the best known returns of a room that a training run has beaten, and warn; see `run_observers`.
 
-    It plans once from the start of each episode that escaped, and searches for the best known return only where the
-    agent beat that plan. Left alone are other environments than rooms, puzzles with rewards of their own, and returns
-    that a wrapper made: those that an escape after so many primitives does not earn. The evaluation environment is
-    reset where an episode escaped; arguments are those of `run_observers`.
+    It plans once from the start of each successful episode, and searches for the best known return only if the agent
+    beat that plan. Environments that are not rooms, puzzles with rewards of their own, and returns that a wrapper
+    changed are ignored. The evaluation environment is reset.
     """
     room: Any = env.unwrapped
     if not isinstance(getattr(room, "instance", None), RoomInstance):

@@ -1,4 +1,4 @@
-"""References of the benchmarks that come with the package: mean efficiencies by which learners are judged."""
+"""Reference efficiencies of the benchmarks that come with the package."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class RungReferences:
     random: float  # of the random policy over options
     search: float  # of the best search baseline
     by: str  # its name
-    oracle: float  # of the planner, which knows the graph; below 1 only where presses fail by chance
-    bayes: float | None = None  # of the Bayes planner; None where graphs cannot be listed
-    told: float | None = None  # bits of the hidden graph that marks and places tell; None where graphs cannot be listed
-    hidden: float | None = None  # bits of the hidden graph
+    oracle: float  # of the oracle; below 1 only if presses fail at random
+    bayes: float | None = None  # of the Bayes planner, or None if graphs cannot be listed
+    told: float | None = None  # bits of the graph that cues reveal, or None if graphs cannot be listed
+    hidden: float | None = None  # bits of the graph
 
 
 def load_references(benchmark: str) -> dict[str, RungReferences]:
-    """References of a benchmark that comes with the package, by rung; empty where they were not measured."""
+    """Return the references of a benchmark by rung; empty if they were not measured."""
     entry = _FOLDER / f"{benchmark}.json"
     table = read_json(entry, "references") if entry.is_file() else {}
     return {rung: read_record(RungReferences, own, rung) for rung, own in table.items()}

@@ -1,6 +1,6 @@
-"""Ends of the scales of a comparison: best known and worst returns, and the fewest primitives known for an escape.
+"""Scales of a comparison: worst and best known returns, and the fewest known primitives of an escape.
 
-Each is computed for the starts of a run's evaluation episodes, by the planners (`planning.best_known`).
+Planners compute them for the starts of a run's evaluation episodes (`planning.best_known`).
 """
 
 from __future__ import annotations
@@ -28,31 +28,34 @@ class ScoreRange:
 
     worst: float  # return of an episode without escape
     starts: tuple[tuple[float, ...], ...]
-    """Pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them); where rooms differ, also
-    a number that tells them apart."""
+    """Pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them); for several rooms also a
+    number for the room."""
     best: tuple[float, ...]  # best known return of each
-    reachable: tuple[float, ...]  # best known return of each by the actions the agent has
+    reachable: tuple[float, ...]  # best known return of each with the agent's actions
     fewest: tuple[float, ...]  # primitives of the best known escape of each, or their expectation
-    fewest_reachable: tuple[float | None, ...]  # the same by the actions the agent has; None where they cannot escape
+    fewest_reachable: tuple[float | None, ...]  # the same with the agent's actions, or None if they cannot escape
     source: str
-    """Source of `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape by the first
-    primitive stands for it."""
+    """Source of `best` and `fewest`: `planner`, or `ceiling` if no plan is known and an escape by the first primitive
+    is assumed."""
     is_expected: bool = False
-    """Best and fewest are means over rollouts of the planner in rooms with noise or slip; an episode can do better by
-    luck."""
+    """Whether `best` and `fewest` are means over rollouts of the planner, in rooms with noise or slip; a single episode
+    can be better."""
 
 
 def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path,
-                        floors: int = 1) -> ScoreRange:
-    """Compute the range for episodes that begin in these states of these rooms, by the actions that an agent has.
+                        parts: int = 1) -> ScoreRange:
+    """Compute the score range of episodes for an agent's actions.
 
-    The folder `cache` keeps what planners have found, for other runs. On each of the `floors` of a tower a part of an
-    episode begins; all share the horizon.
+    Args:
+        starts: room and first state of each episode, or of each room of a sequence.
+        agent: its options decide which escapes are reachable.
+        cache: folder for results of planners, shared by runs.
+        parts: number of rooms in an episode, which share the horizon.
     """
     is_limited = agent.chooses_options and not agent.options.include_primitives
     ends = [_find_ends(*start, agent.options.option_set if is_limited else None, cache) for start in starts]
     instance = starts[0][0]
-    worst = instance.horizon * instance.reward.step / floors
+    worst = instance.horizon * instance.reward.step / parts
     several = len({room.id for room, _ in starts}) > 1
     poses = tuple((state.x, state.y, state.heading_steps, state.heading_offset,
                    *((float(int(room.digest[:12], 16)),) if several else ())) for room, state in starts)
@@ -67,18 +70,18 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
 
 
 def _has_noise(instance: RoomInstance) -> bool:
-    """Return whether scales are expectations."""
+    """Return whether the scales of a room are expectations."""
     return instance.dynamics.is_random and instance.dynamics.kind == "kinematic"
 
 
 Ends = tuple[float, float, float, "float | None"]
-"""Best known return and its primitives; the same by the options alone, whose escape may be None."""
+"""Best known return and its primitives; the same with options only, where primitives can be None."""
 
 
 def _find_ends(instance: RoomInstance, state: RoomState, option_set: str | None, cache: Path) -> Ends | None:
-    """Best known results from one state, from the cache if it has them; None if no planner finds an escape.
+    """Find the best known results from one state, with a cache, or None if no planner finds an escape.
 
-    `option_set` is that of the options where they are the only actions.
+    `option_set` is given if options are the only actions.
     """
     start = [__version__, option_set, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
     if _has_noise(instance):
@@ -97,13 +100,13 @@ def _find_ends(instance: RoomInstance, state: RoomState, option_set: str | None,
 
 
 def _compute_ends(instance: RoomInstance, state: RoomState, option_set: str | None) -> Ends | None:
-    from hrl_escape.options.best_with_options import find_best_with_options  # these bring the planners in
+    from hrl_escape.options.best_with_options import find_best_with_options  # these load the planners
     from hrl_escape.planning.best_known import find_best_known
 
     worst = instance.horizon * instance.reward.step
     try:
         known = find_best_known(instance, state)
-    except EscapeError:  # a puzzle that planners cannot do
+    except EscapeError:  # a puzzle that planners do not support
         return None
     if known.primitives is None or known.value <= worst:
         return None
@@ -113,7 +116,7 @@ def _compute_ends(instance: RoomInstance, state: RoomState, option_set: str | No
 
 
 def _expect(instance: RoomInstance, state: RoomState, ends: Ends) -> Ends:
-    """Ends under noise: the planner's by rollouts, those by the options alone as far behind as without noise."""
+    """Compute ends under noise by rollouts of the planner; the gap of the options is the same as without noise."""
     from hrl_escape.planning.best_known import compute_expected_escape
 
     best, fewest, reachable, fewest_reachable = ends

@@ -1,7 +1,7 @@
-"""Summary of a comparison: efficiency, progress, escapes, learning curves, gaps, and agents compared in pairs.
+"""Summary of a comparison: efficiency, progress, success rate, learning curves, gaps, and pairwise comparisons.
 
-Pure functions from results to numbers, the same every time; words are in `verdict.py`, pages in
-`report.py`. A run is judged by its evaluations in the last fifth of training.
+Pure, deterministic functions from results to numbers. `verdict.py` writes sentences and `report.py` pages. Final values
+are means over the evaluations in the last fifth of training.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hrl_escape.benchmark.inference import (
     compute_interval,
     compute_wilson_interval,
 )
-from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.benchmark.statistics import (
     Floats,
@@ -48,7 +48,7 @@ CURVE_METRICS = ("efficiency", "progress", "success", "length", "score")
 CURVE_POINTS = 41
 CURVE_RESAMPLES = 500
 PROFILE = np.round(np.concatenate([np.linspace(-0.05, 0.9, 96), np.linspace(0.901, 1.0, 100)]), 4)
-"""Thresholds of the performance profile: denser towards the best known."""
+"""Thresholds of the performance profile, denser near the best known score."""
 UNIT = (0.0, 1.0)
 
 
@@ -56,11 +56,11 @@ UNIT = (0.0, 1.0)
 class Curve:
     """A learning curve of several runs, at common numbers of primitives."""
 
-    primitives: Floats  # (points,) trained for
+    primitives: Floats  # (points,) of training
     decisions: Floats  # (points,) of the median run by then
     seconds: Floats  # (points,) of training of the median run by then
     metrics: dict[str, tuple[Floats, Floats, Floats]]
-    """For each of `CURVE_METRICS` its middle, low and high, each (points,)."""
+    """Middle, low and high of each of `CURVE_METRICS`, each (points,)."""
 
 
 @dataclass(frozen=True)
@@ -69,28 +69,27 @@ class AgentSummary:
 
     spec: AgentSpec  # the agent
     settings: dict[str, object]  # its settings
-    efficiencies: tuple[Floats, ...]  # final efficiency (runs,) a room; a room without a finished run has none
+    efficiencies: tuple[Floats, ...]  # final efficiency (runs,) for each room; empty without finished runs
     efficiency: Estimate  # interquartile mean of them, the primary score
-    seen: Estimate | None  # the same at the end in rooms that were trained in, where others were tested in; else None
+    seen: Estimate | None  # the same in training rooms, if test rooms are separate; else None
     trials: tuple[Estimate, ...]
-    """Interquartile mean at the first, second, ... trial in each room tested in; empty without trials."""
+    """Interquartile mean at each trial in test rooms; empty without trials."""
     progress: Estimate
-    """Share of the facts on the way to the goal that hold at best in an episode of the last fifth, rooms weighing the
-    same."""
+    """Largest share of facts towards the goal in an episode, mean over the last fifth with equal room weights."""
     success: Estimate
-    """Share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's interval, a run
-    counting as one try."""
+    """Success rate of evaluation episodes in the last fifth, with equal room weights; Wilson's interval counts a run as
+    one try."""
     first_escape: Estimate
-    """Mean primitives of training to the first escape, up to the budget: runs without one count with the whole budget.
-    All are censored there, so it is the restricted mean of the Kaplan-Meier curve."""
-    escaped_runs: int  # runs in which a training episode escaped
+    """Mean primitives of training to the first escape; runs without one count with the budget. It is the restricted
+    mean of the Kaplan-Meier curve."""
+    escaped_runs: int  # number of runs with a successful training episode
     length: Estimate  # interquartile mean of primitives in an episode of the last fifth
     score: Estimate  # interquartile mean of the return score: 0 at the worst, 1 at the best known return
     area: Estimate  # interquartile mean of the area under the efficiency's curve, over the budget
-    stuck: float  # share of runs without any escape in the last fifth
+    stuck: float  # share of runs without success in the last fifth
     gap: Gap  # distance to an efficiency of 1
     curve: Curve  # over all rooms
-    room_curves: tuple[Curve | None, ...]  # room by room; None where it has no run
+    room_curves: tuple[Curve | None, ...]  # for each room, or None without runs
     profile: Floats  # share of runs above each threshold of `PROFILE`
     failed: int  # runs that failed
     decisions: float  # mean of a run
@@ -110,18 +109,18 @@ class AgentSummary:
 
     @property
     def stuck_runs(self) -> int:
-        """Number of runs without any escape in the last fifth."""
+        """Number of runs without success in the last fifth."""
         return round(self.stuck * self.runs)
 
     @property
     def fewest_runs(self) -> int:
-        """Number of finished runs in the room that has fewest."""
+        """Smallest number of finished runs in a room."""
         return min(len(room) for room in self.efficiencies)
 
 
 @dataclass(frozen=True)
 class RoomSummary:
-    """A room, or rooms to be tested in, and the ends of its scales."""
+    """Room or test set with the scale of its scores."""
 
     place: RunPlace  # the room, or the sets of rooms
     name: str  # in tables
@@ -132,7 +131,7 @@ class RoomSummary:
 
     @property
     def instance(self) -> RoomInstance:
-        """Room; of a set, the first to be tested in."""
+        """The room, or the first test room of a set."""
         return self.place.instance
 
 
@@ -142,19 +141,23 @@ class Summary:
 
     grid: Grid  # its settings
     rooms: tuple[RoomSummary, ...]  # in the grid's order
-    agents: tuple[AgentSummary, ...]  # in the grid's order; those without any finished run are left out
-    runs: tuple[FinishedRun, ...]  # runs with their results; score ranges raised to what was reached
-    pairs: tuple[tuple[Pair, ...], ...]  # (agents, agents) -> the first compared with the second by their efficiency
+    agents: tuple[AgentSummary, ...]  # in the grid's order, without agents that have no finished run
+    runs: tuple[FinishedRun, ...]  # runs with results; score ranges raised to the best results
+    pairs: tuple[tuple[Pair, ...], ...]  # (agents, agents), comparison of the first with the second by efficiency
     versions: dict[str, str]  # package -> version, `a, b` where runs differ
 
     def get_pair(self, first: AgentSummary, second: AgentSummary) -> Pair:
-        """Comparison of one agent with another."""
+        """Return the comparison of two agents."""
         places = {agent.label: number for number, agent in enumerate(self.agents)}
         return self.pairs[places[first.label]][places[second.label]]
 
 
 def summarise(comparison: Comparison) -> Summary:
-    """Summarise the finished runs; `ComparisonError` where there are none."""
+    """Summarise the finished runs.
+
+    Raises:
+        ComparisonError: no run has finished.
+    """
     if not comparison.runs:
         reasons = "; ".join(sorted({failure.message for failure in comparison.failures})) or "none was run"
         raise ComparisonError(f"{comparison.out}: no run has finished, so there is nothing to report: {reasons}")
@@ -172,9 +175,9 @@ def summarise(comparison: Comparison) -> Summary:
 
 
 def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[FinishedRun]:
-    """Raise the best known of each start to the best that a run reached there: return, and fewest primitives.
+    """Raise the best known return and fewest primitives of each start to the best result of a run.
 
-    In a room with noise, or in a tower with one, nothing is raised, because a lucky episode is no reference.
+    Rooms with noise keep their expectations, because a single episode can be better by luck.
     """
     dynamics, is_expected = instance.dynamics, any(result.score_range.is_expected for _, result in runs)
     if dynamics.is_random or dynamics.kind == "physics" or is_expected:
@@ -192,9 +195,9 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
 
 
 def _find_reached(result: RunResult) -> Iterator[tuple[float, int]]:
-    """Best return, and fewest primitives of an escape, in each evaluation episode over the run.
+    """Return the best return and the fewest primitives of each evaluation episode over the run.
 
-    Minus infinity if it was never played, and the largest int64 if none escaped.
+    Minus infinity for episodes that were not played, and the largest int64 without success.
     """
     returns, lengths, escaped = (np.array([getattr(evaluation, name) for evaluation in result.evaluations])
                                  for name in ("returns", "lengths", "successes"))
@@ -203,7 +206,7 @@ def _find_reached(result: RunResult) -> Iterator[tuple[float, int]]:
 
 
 def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, float, str]]) -> ScoreRange:
-    """Replace the best known; where the old best counted as within reach, the new one does too."""
+    """Replace the best known results; a reachable best stays reachable."""
     raised, fewest, sources = zip(*(best[start] for start in score_range.starts), strict=True)
     reachable = tuple(new if reach >= old else reach
                       for reach, old, new in zip(score_range.reachable, score_range.best, raised, strict=True))
@@ -230,7 +233,7 @@ def _summarise_room(place: RunPlace, runs: Sequence[FinishedRun]) -> RoomSummary
 
 
 def _compute_reachable_efficiency(result: RunResult) -> float:
-    """Efficiency of the best known policy over the agent's actions."""
+    """Return the efficiency of the best known policy with the agent's actions."""
     ends = result.score_range
     return float(np.mean([0.0 if reach is None else min(1.0, fewest / reach)
                           for fewest, reach in zip(ends.fewest, ends.fewest_reachable, strict=True)]))
@@ -288,7 +291,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
 
 
 def _make_rng() -> np.random.Generator:
-    """Generator with the same draws for every statistic, so that a report is always the same."""
+    """Return a generator with fixed seed, for reproducible reports."""
     return np.random.default_rng(20_190_100)
 
 
@@ -298,7 +301,7 @@ def _estimate(statistic: Statistic, scores: Sequence[Floats], bounds: tuple[floa
 
 
 def _make_curve(rooms: Sequence[Sequence[RunResult]], budget: int, horizon: int) -> Curve:
-    """Middle of the runs' curves at common numbers of primitives, each linear between its evaluations."""
+    """Interpolate the runs' curves linearly at common numbers of primitives."""
     grid = np.linspace(0, budget, CURVE_POINTS)
 
     def stack(read: Callable[[RunResult], Floats]) -> list[Floats]:

@@ -1,8 +1,8 @@
-"""Verdict of a comparison in plain words: no more than its runs support.
+"""Verdict of a comparison in sentences.
 
-Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
-test says so after correction for all pairs of agents (`inference.py`). With fewer than `LEAST_RUNS` pairs of runs the
-sentences give estimates and intervals, and call nothing better. Labels of agents are between backticks.
+Pure functions from a `Summary` to sentences. An agent is called better than another only if a paired test is
+significant after correction for all pairs of agents (`inference.py`). With fewer than `LEAST_RUNS` pairs of runs the
+sentences give estimates and intervals only. Labels of agents are between backticks.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from hrl_escape.benchmark.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
 
 MOST_LABELS = 4
-"""Agents that a headline names."""
+"""Largest number of agents in a headline."""
 SETTLED = 0.9
-"""From this share of escapes on, it is said how many primitives an escape takes."""
+"""Smallest success rate of agents whose primitives of an escape are compared."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Sentence:
 
 def write_verdict(summary: Summary) -> list[Sentence]:
     """Write the verdict: one headline, then findings, then cautions."""
-    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_search(summary),
+    findings = [*_compare_views(summary), *_compare_with_random(summary), *_compare_with_search(summary),
                 *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
                 *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
     return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
@@ -44,7 +44,7 @@ def write_verdict(summary: Summary) -> list[Sentence]:
 
 
 def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:
-    """Most efficient agent; the planner that knows the room only where it is alone."""
+    """Return the most efficient agent; the oracle only if it is alone."""
     contenders = [agent for agent in agents if agent.spec.name != references.ORACLE] or agents
     return max(contenders, key=lambda agent: agent.efficiency.value)
 
@@ -84,18 +84,18 @@ def _write_headline(summary: Summary) -> str:
 
 
 def _tie(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
-    """Return whether two agents have the same efficiency to two digits, and neither is shown to be better."""
+    """Return whether two agents have the same efficiency to two digits without a significant difference."""
     return (f"{first.efficiency.value:.2f}" == f"{second.efficiency.value:.2f}" and not _beats(summary, first, second)
             and not _beats(summary, second, first))
 
 
 def _has_few(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
-    """Return whether two agents share too few runs for a verdict."""
+    """Return whether two agents have too few common runs for a verdict."""
     return summary.get_pair(first, second).count < LEAST_RUNS
 
 
 def _join_labels(agents: Sequence[AgentSummary]) -> str:
-    """`a`, `b` and `c`; of more than four the first three and how many others."""
+    """Join labels; of more than four the first three and the number of others."""
     labels = [f"`{agent.label}`" for agent in agents]
     if len(labels) > MOST_LABELS:
         labels = [*labels[:MOST_LABELS - 1], count_things(len(labels) - MOST_LABELS + 1, "other")]
@@ -116,7 +116,7 @@ def _describe_escapes(agent: AgentSummary) -> str:
 
 
 def _compare_views(summary: Summary) -> list[str]:
-    """With options against without."""
+    """Compare agents with options and without."""
     policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.low_level)]
     flat = [agent for agent in policies if not agent.spec.chooses_options]
     hierarchical = [agent for agent in policies if agent.spec.chooses_options]
@@ -140,33 +140,33 @@ def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
     return [agent for agent in agents if agent.spec.learns] or list(agents)
 
 
-def _compare_with_chance(summary: Summary) -> list[str]:
-    """Learners over options against choosing among the same options at random.
+def _compare_with_random(summary: Summary) -> list[str]:
+    """Compare learners over options with the random policy over the same options.
 
-    That learning adds to it is said only of a learner that beats the best search baseline.
+    A learner improves on it only if it also beats the best search baseline.
     """
     sentences = []
-    for chance in summary.agents:
-        if not chance.spec.chooses_options or chance.spec.algorithm != "random":
+    for baseline in summary.agents:
+        if not baseline.spec.chooses_options or baseline.spec.algorithm != "random":
             continue
-        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not chance
-                    and _get_choices(agent) == _get_choices(chance) and agent.spec.learns]
+        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not baseline
+                    and _get_choices(agent) == _get_choices(baseline) and agent.spec.learns]
         if not learners:
             continue
         best = find_leader(learners)
-        start = (f"Random choice among the options (`{chance.label}`) {_describe_escapes(chance)}"
-                 f"{': that much comes from their planners' if chance.success.value > 0 else ''}.")
-        if _beats(summary, best, chance):
-            both = min(chance.success.value, best.success.value) >= SETTLED
+        start = (f"Random choice among the options (`{baseline.label}`) {_describe_escapes(baseline)}"
+                 f"{': that much comes from their planners' if baseline.success.value > 0 else ''}.")
+        if _beats(summary, best, baseline):
+            both = min(baseline.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
-            baselines = _list_search_baselines(summary)
-            adds = "Learning adds to it: " if baselines and _beats(summary, best, find_leader(baselines)) else ""
+            searches = _list_search_baselines(summary)
+            adds = "Learning adds to it: " if searches and _beats(summary, best, find_leader(searches)) else ""
             sentences.append(f"{start} {adds}`{best.label}` {gain}.")
-        elif _beats(summary, chance, best):
+        elif _beats(summary, baseline, best):
             sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_escapes(best)}.")
         else:
-            sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, chance)}.")
-        worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
+            sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, baseline)}.")
+        worse = [agent for agent in learners if agent is not best and _beats(summary, baseline, agent)]
         if worse:
             names = join_words([f"`{agent.label}`" for agent in worse])
             sentences.append(f"{names} {'ends' if len(worse) == 1 else 'end'} below choosing at random.")
@@ -174,12 +174,12 @@ def _compare_with_chance(summary: Summary) -> list[str]:
 
 
 def _list_search_baselines(summary: Summary) -> list[AgentSummary]:
-    """Search baselines, which are given nothing of what learners must learn."""
+    """Return the search baselines of a summary."""
     return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
 
 
 def _compare_with_search(summary: Summary) -> list[str]:
-    """Learners over options or hierarchies against the best search baseline."""
+    """Compare learners over options or hierarchies with the best search baseline."""
     learners = [agent for agent in summary.agents
                 if (agent.spec.chooses_options or agent.spec.low_level) and agent.spec.learns]
     baselines = _list_search_baselines(summary)
@@ -188,7 +188,8 @@ def _compare_with_search(summary: Summary) -> list[str]:
     best, baseline = find_leader(learners), find_leader(baselines)
     rule = references.describe_rule(baseline.spec.name)
     name = "search baseline" if len(baselines) == 1 else "best search baseline"
-    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and starts every episode anew")
+    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and forgets everything after "
+             "an episode")
     if _beats(summary, best, baseline):
         return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
     if _beats(summary, baseline, best):
@@ -201,7 +202,7 @@ def _name_rooms(summary: Summary) -> str:
 
 
 def _describe_speed(summary: Summary) -> list[str]:
-    """First escapes in training; runs without one count with the whole budget."""
+    """Compare first escapes in training; runs without one count with the budget."""
     learners = sorted((agent.first_escape.value, agent.label, agent) for agent in summary.agents
                       if agent.spec.learns and agent.escaped_runs)
     if not learners:
@@ -232,7 +233,7 @@ def _describe_stuck(summary: Summary) -> list[str]:
 
 
 def _describe_generalisation(summary: Summary) -> list[str]:
-    """Rooms that were tested in against rooms that were trained in."""
+    """Compare efficiency in test rooms and in training rooms."""
     learners = [(agent, agent.seen) for agent in summary.agents if agent.spec.learns and agent.seen is not None]
     if not learners:
         return []
@@ -241,7 +242,7 @@ def _describe_generalisation(summary: Summary) -> list[str]:
 
 
 def _describe_trials(summary: Summary) -> list[str]:
-    """Efficiency trial by trial in the same rooms."""
+    """Describe the efficiency at each trial in the same rooms."""
     tried = [agent for agent in summary.agents if agent.trials]
     if not tried:
         return []
@@ -280,13 +281,13 @@ def _write_cautions(summary: Summary) -> list[str]:
                         "command goes on from these, to a verdict.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
-    chance = [_get_choices(agent) for agent in summary.agents
-              if agent.spec.chooses_options and agent.spec.algorithm == "random"]
-    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
+    covered = [_get_choices(agent) for agent in summary.agents
+               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
+    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in covered]
     if unmatched:
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         "the score that the options' planners bring is unknown.")
-    if learners and not any(agent.spec.name in references.BY_LIGHTS for agent in summary.agents):
+    if learners and not any(agent.spec.name in references.SEARCHES for agent in summary.agents):
         cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
                         "without learning is unknown.")
     for room in summary.rooms:
@@ -305,7 +306,7 @@ def _write_cautions(summary: Summary) -> list[str]:
 
 
 def _get_choices(agent: AgentSummary) -> OptionsView:
-    """Options that an agent chooses among, whatever it remembers."""
+    """Return the options of an agent without its memory."""
     return dataclasses.replace(agent.spec.options, memory=False)
 
 
@@ -313,7 +314,7 @@ def _get_choices(agent: AgentSummary) -> OptionsView:
 
 
 def _describe_even(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
-    """Efficiencies of two agents of which neither is shown to be better."""
+    """Describe two agents without a significant difference."""
     values = (f"`{first.label}` has an efficiency of {first.efficiency:.2f}, `{second.label}` of "
               f"{second.efficiency:.2f}")
     return values if _has_few(summary, first, second) else f"no significant difference; {values}"
@@ -326,17 +327,17 @@ def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) 
 
 
 def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:
-    """Sentence on what their hierarchies tell agents; none where no agent has one."""
+    """Describe the privileged information of agents with hierarchies."""
     told = [f"`{agent.label}` ({', '.join(agent.privileges)})" for agent in agents if agent.privileges]
     return [f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}."] if told else []
 
 
 def count_things(number: int, noun: str) -> str:
-    """Number and noun as in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
+    """Format number and noun in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
     return f"{spell_number(number)} {noun}" + ("" if number == 1 else "s")
 
 
 def spell_number(number: int) -> str:
-    """Number as in a sentence: `no`, `one`, `two`, `10`."""
+    """Format a number in a sentence: `no`, `one`, `two`, `10`."""
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     return words[number] if number < len(words) else f"{number:,}"

@@ -1,8 +1,7 @@
-"""The contracts as runnable checks, for this project's own implementations and for strangers'.
+"""Checks of the contracts of puzzles, options, agents, hierarchies and path planners.
 
-Each `check_*` exercises one implementation by random play and raises `ContractError` at the
-first claim that does not hold. A check reads the public interface only; it proves nothing, but
-what it misses has to hide well.
+Each `check_*` function exercises one implementation by random play, through its public interface, and raises
+`ContractError` for the first violated requirement.
 """
 
 import lazy_loader

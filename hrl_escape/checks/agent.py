@@ -1,7 +1,7 @@
-"""The contract of agents: legal actions, evaluation without side effects, checkpoints that resume to the same bits.
+"""Check of agents: legal actions, evaluation without side effects, checkpoints that resume to the same bits.
 
-Agents are tried in a small semi-Markov decision process made for the purpose: a corridor with a
-lamp that must be lit first, actions of one to four primitives, masks, terminations and time-outs.
+Agents are trained in a small semi-Markov decision process: a corridor with a lamp that must be on before the exit
+opens, actions of one to four primitives, masks, terminations and truncations.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ def check_agent(agent_class: type[Agent], settings: Any = None, decisions: int =
 
     Args:
         agent_class: constructed as `agent_class(observation_space, action_space, seed, settings)`.
-        settings: what to construct it with; None takes `agent_class.Settings()`.
+        settings: of the agent; None takes `agent_class.Settings()`.
         decisions: length of training.
         seed: of the agent and of the corridor.
 
     Raises:
-        ContractError: the first claim that does not hold.
+        ContractError: a requirement is violated.
     """
     _AgentCheck(agent_class, settings or agent_class.Settings(), seed).run(decisions)
 
@@ -52,9 +52,9 @@ class _TraceStep(NamedTuple):
 
 
 class _Corridor(gymnasium.Env):
-    """Cells in a row: walk one cell or up to four, light the lamp in the first, leave by the last.
+    """Corridor of cells: move one cell or up to four, turn on the lamp in the first cell, leave by the last.
 
-    The observation is (cell / 5, lamp); walking on past an end is illegal.
+    The observation is (cell / 5, lamp). Moves beyond an end are illegal.
     """
 
     LEFT, RIGHT, FAR_LEFT, FAR_RIGHT, PRESS = range(5)
@@ -84,7 +84,7 @@ class _Corridor(gymnasium.Env):
         return self._observe(), sum(rewards), terminated, self._spent >= HORIZON and not terminated, info
 
     def _move(self, action: int) -> bool:
-        """One primitive; returns whether the robot has left."""
+        """Run one primitive; returns whether the robot has left."""
         if action == self.PRESS:
             self._lamp = True
             return False
@@ -102,7 +102,7 @@ class _Corridor(gymnasium.Env):
 
 
 class _AgentCheck(Claims):
-    """The claims about one class of agents, and the training they are tried in."""
+    """Requirements of agents, checked during a training run."""
 
     def __init__(self, agent_class: type[Agent], settings: Any, seed: int) -> None:
         super().__init__(f"agent {agent_class.__name__}")
@@ -133,7 +133,7 @@ class _AgentCheck(Claims):
         return self._class(env.observation_space, env.action_space, self._seed, self._settings)
 
     def _train(self, agent: Any, play: _Play, decisions: int) -> list[SMDPTransition]:
-        """Transitions of the agent's own choosing, each learned from."""
+        """Yield transitions that the agent chose and learned from."""
         made, served = [], serve_one(agent)
         for _ in range(decisions):
             action = served.act(play.observation, play.mask.copy())
@@ -155,7 +155,7 @@ class _AgentCheck(Claims):
         self.require(first is None, "the same seed makes the same decisions", f"they part at decision {first}")
 
     def _check_greedy(self, agent: Any, seen: list[SMDPTransition]) -> None:
-        """Evaluation is legal, repeatable, and leaves the agent as it is."""
+        """Check that evaluation is legal, repeatable and without side effects."""
         before = dump_state(agent)
         places = seen[-50:]
 
@@ -174,7 +174,7 @@ class _AgentCheck(Claims):
         self.require(dump_state(agent) == before, "act_greedy changes nothing in the agent", "state_dict changed")
 
     def _check_resuming(self, decisions: int) -> None:
-        """A checkpoint through a file, taken between episodes, goes on to the same bits."""
+        """Check that a checkpoint between episodes resumes to the same bits."""
         agent = self._make()
         play = _Play(_Corridor(), agent.gamma, self._seed)
         self._train(agent, play, decisions // 2)
@@ -204,7 +204,7 @@ class _AgentCheck(Claims):
 
 
 class _Play:
-    """Episodes one after the other: where the next decision is made."""
+    """State of consecutive episodes before the next decision."""
 
     def __init__(self, env: _Corridor, gamma: float, seed: int) -> None:
         self._env, self._gamma = env, gamma
@@ -225,7 +225,7 @@ class _Play:
 
 
 def _read_global_random_state() -> tuple[Any, ...]:
-    """The global generators of numpy and torch, for comparison; both are only read."""
+    """Return the state of the global generators of numpy and torch."""
     import torch  # not for `import hrl_escape.checks`
 
     kind, keys, place, *_ = np.random.get_state()  # noqa: NPY002  # read only

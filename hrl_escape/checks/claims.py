@@ -1,4 +1,4 @@
-"""The base of every check: claims about one implementation, the first that fails is raised."""
+"""Base of all checks: requirements of one implementation."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from hrl_escape.errors import ContractError
 
 
 class Claims:
-    """Claims about one implementation, as error messages name it, such as `puzzle 'buttons'`."""
+    """Requirements of an implementation, which messages call by a name such as `puzzle 'buttons'`."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     def require(self, holds: bool, claim: str, seen: object) -> None:
-        """Raise `ContractError` unless a claim holds; `seen` is quoted as the evidence."""
+        """Raise `ContractError` unless a requirement holds; the message quotes `seen`."""
         if not holds:
             raise ContractError(self.name, claim, repr(seen))
 
 
 def dump_state(agent: Any) -> str:
-    """An agent's state as text that is equal where all numbers are."""
+    """Return an agent's state as text for exact comparison."""
     return json.dumps(agent.state_dict(), default=_encode, sort_keys=True)
 
 

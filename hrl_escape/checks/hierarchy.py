@@ -1,7 +1,7 @@
-"""The contract of hierarchies: time and reward add up, ends unwind from inside, evaluation changes nothing.
+"""Check of hierarchies: time and reward add up, ends unwind from the innermost call, evaluation has no side effects.
 
-A hierarchy is run in an environment with recorders where its learners are. Each recorder chooses
-among legal choices at random and writes down what it is told, and every claim is about these notes.
+The hierarchy runs in an environment with recorders in place of its learners. A recorder takes random legal choices and
+records its transitions, and requirements are checked on these records.
 """
 
 from __future__ import annotations
@@ -27,25 +27,26 @@ def check_hierarchy(hierarchy: Hierarchy, env: gymnasium.Env, primitives: int = 
                     agent_class: type[StackAgent] = StackAgent) -> None:
     """Check a hierarchy by running it in an environment.
 
-    Its root must be paid by the environment. Episodes are cut at random lengths, so that calls are cut at every depth.
+    The root task must earn the environment's reward. Episodes are truncated at random lengths, which truncates calls at
+    every depth.
 
     Args:
-        hierarchy: what to check; its learners are left out.
+        hierarchy: to check; its learners are replaced.
         env: where it runs.
         primitives: length of the run.
         seed: of choices and episodes.
-        agent_class: what runs it.
+        agent_class: agent that runs it.
 
     Raises:
-        ContractError: the first claim that does not hold.
+        ContractError: a requirement is violated.
     """
     _HierarchyCheck(hierarchy, env, primitives, seed, agent_class).run()
 
 
 class _Note(NamedTuple):
-    """A recorder's note of one decision.
+    """Record of one decision.
 
-    `begun` and `order` are the clock and the number of the choice, `clock` the time when it came back.
+    `begun` and `order` are time and number of the choice, `clock` is the time of its return.
     """
 
     task: str
@@ -56,7 +57,7 @@ class _Note(NamedTuple):
 
 
 class _Book:
-    """The clock of the environment and all that was noted, shared by recorders and watched tasks."""
+    """Time of the environment and all records, shared by recorders and observed tasks."""
 
     def __init__(self) -> None:
         self.clock = self.choices = 0
@@ -70,7 +71,7 @@ class _Book:
 
 
 class _Watched(BaseTask):
-    """A task that notes what it answers; with `order`, its choices are numbered anew."""
+    """Task that records its results; `order` renumbers its choices."""
 
     def __init__(self, task: BaseTask, book: _Book, order: NDArray[np.int64]) -> None:
         super().__init__(task.name, int(task.space.n), task.view_space)
@@ -108,7 +109,7 @@ class _Watched(BaseTask):
 
 
 class _Recorder(Agent):
-    """A learner that chooses at random, the same whatever the numbers of choices, and writes down what it is told."""
+    """Learner that records transitions and chooses at random, independently of the numbering of choices."""
 
     Settings = StackSettings
 
@@ -127,7 +128,7 @@ class _Recorder(Agent):
         return self._draw(action_mask, rng)
 
     def _draw(self, mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """A legal choice, drawn by its number before any renumbering."""
+        """Return a random legal choice, drawn by its number before renumbering."""
         legal = sorted(int(self.order[choice]) for choice in mask.nonzero()[0])
         drawn = legal[rng.integers(len(legal))]
         return int(np.argsort(self.order)[drawn])
@@ -145,7 +146,7 @@ class _Recorder(Agent):
 
 
 class _Chain(BaseTask):
-    """A task whose only choice is to call another."""
+    """Task whose only choice is a call of another task."""
 
     def __init__(self, below: BaseTask) -> None:
         super().__init__(f"{below.name} (called by a chain)", 1, below.view_space)
@@ -159,7 +160,7 @@ class _Chain(BaseTask):
 
 
 class _Played(NamedTuple):
-    """Notes of one run."""
+    """Records of one run."""
 
     book: _Book
     primitives: list[int]
@@ -170,7 +171,7 @@ class _Played(NamedTuple):
 
 
 class _HierarchyCheck(Claims):
-    """The claims about one hierarchy, and the run they are tried on."""
+    """Requirements of a hierarchy, checked on a run."""
 
     def __init__(self, hierarchy: Hierarchy, env: gymnasium.Env, primitives: int, seed: int,
                  agent_class: type[StackAgent]) -> None:
@@ -189,7 +190,7 @@ class _HierarchyCheck(Claims):
     # --- running ----------------------------------------------------------------------
 
     def _make(self, book: _Book, reverse: bool = False, chain: bool = False) -> StackAgent:
-        """An agent of watched tasks and recorders; `reverse` numbers choices backwards, `chain` adds a caller."""
+        """Make an agent of observed tasks and recorders; `reverse` reverses choices, `chain` adds callers."""
         watched: dict[str, _Watched] = {}
         for name, task in self._hierarchy.tasks.items():
             order = np.arange(int(task.space.n))
@@ -260,13 +261,13 @@ class _HierarchyCheck(Claims):
 
     def _check_greedy(self, agent: CallRunner, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator
                       ) -> None:
-        """Invariant 6: evaluation in the midst of learning changes nothing."""
+        """Invariant 6: evaluation during learning has no side effects."""
         before = dump_state(agent)
         agent.act_greedy(observation, mask, rng)
         self.require(dump_state(agent) == before, "evaluation changes nothing in the agent", "state_dict changed")
 
     def _check_time(self, played: _Played) -> None:
-        """Invariant 1: k is the time since the choice, gamma^k its discount, and calls fill their caller's time."""
+        """Invariant 1: k is the time since the choice, gamma^k its discount; calls add up to their caller's time."""
         for note in played.book.notes:
             told = note.transition
             self.require(told.duration == note.clock - note.begun, "a decision lasts as long as its primitives",
@@ -275,7 +276,7 @@ class _HierarchyCheck(Claims):
                          (note.task, told.discount, told.duration))
 
     def _check_rewards(self, played: _Played) -> None:
-        """Invariants 2 and 5: the root earns what the environment pays; others their pay, and `final` at the end."""
+        """Invariants 2 and 5: the root earns the environment's reward; others their pay, and `final` at the end."""
         book, root = played.book, self._hierarchy.root.name
         for note in book.notes:
             paid = sum(GAMMA ** (clock - note.begun) * book.pays[note.task, clock]
@@ -294,7 +295,7 @@ class _HierarchyCheck(Claims):
                          (earned, gained))
 
     def _check_ends(self, played: _Played) -> None:
-        """Invariants 4 and 5: inner calls come back first; a cut bootstraps; only ended calls get their `final`."""
+        """Invariants 4 and 5: inner calls return first; truncation bootstraps; only ended calls get their `final`."""
         book = played.book
         for earlier, later in zip(book.notes, book.notes[1:], strict=False):
             if earlier.clock == later.clock:
@@ -305,20 +306,20 @@ class _HierarchyCheck(Claims):
             self.require(not has_ended or book.ends[note.task, note.clock] > 0.0,
                          "`final` is asked only of a task that ended by itself", note)
             if truncated and not has_ended:
-                self.require(not note.transition.terminated, "a cut call is not told that it terminated", note)
-                self.require(note.transition.truncated, "a cut call is told that it was cut", note)
+                self.require(not note.transition.terminated, "a truncated call does not receive termination", note)
+                self.require(note.transition.truncated, "a truncated call receives truncation", note)
             if terminated:
                 self.require(note.transition.terminated, "a terminated episode terminates every call", note)
 
     def _check_legal(self, played: _Played) -> None:
-        """Invariant 7: no learner hears of an illegal choice."""
+        """Invariant 7: learners receive only legal choices."""
         for note in played.book.notes:
             told = note.transition
             self.require(bool(told.action_mask[told.action]), "a learner hears of legal choices only", note)
             self.require(bool(told.next_action_mask.any()), "a next mask has a legal choice", note)
 
     def _check_replays(self, played: _Played) -> None:
-        """Invariants 3 and 8: a chain of one-child tasks, or other numbers of choices, change nothing else."""
+        """Invariants 3 and 8: chains of one-child tasks and renumbered choices change nothing else."""
         for words, reverse in (("renumbering choices changes nothing else", True),
                                ("calling the hierarchy through a chain of one-child tasks changes nothing", False)):
             again = self._play(reverse=reverse, chain=not reverse)

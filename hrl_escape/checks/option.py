@@ -1,4 +1,4 @@
-"""The contract of options: initiation, policy and termination in any environment, nested options included."""
+"""Check of options: initiation, policy and termination in any environment, including nested options."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningReport
 
 StartPlace = Callable[[], Any]
-"""Brings the environment to a place and returns the state there."""
+"""Sets the environment to a place and returns its state."""
 
 
 def check_option(option: Option, env: gymnasium.Env, runs: int = 10, seed: int = 0, states: Sequence[Any] = (),
                  domain: Callable[[gymnasium.Env], OptionDomain] = make_option_domain, horizon: int = 1000) -> None:
-    """Check an option by running it in an environment from where random play has led.
+    """Check an option by running it from states that random play reaches.
 
     Args:
         option: any option.
-        env: an environment that it suits: a flat room, or any other. No environment but a room can be set to a state,
-            so others are played there again: their episodes must depend on the seed and the actions alone.
-        runs: how many places random play leads to.
+        env: a flat room or another environment. Only rooms can be set to a state. Other environments replay the actions
+            to it, so their episodes must depend only on seed and actions.
+        runs: number of states from random play.
         seed: of the random play.
-        states: more places of a room to start from, for an option that starts where random play hardly leads.
+        states: further initial states of a room, for options that random play rarely can start.
         domain: as in `OptionsEnv`.
-        horizon: primitives after which an option must have ended; a room has its own.
+        horizon: primitives within which an option has to end; a room has its own.
 
     Raises:
-        ContractError: the first claim that does not hold.
-        UnsupportedError: states are given and the environment is no room.
+        ContractError: a requirement is violated.
+        UnsupportedError: `states` are given and the environment is not a room.
     """
     made = domain(env)
     check = _RoomOptionCheck(option, made) if isinstance(made, RoomDomain) else _OptionCheck(option, made, horizon)
@@ -43,7 +43,7 @@ def check_option(option: Option, env: gymnasium.Env, runs: int = 10, seed: int =
 
 
 class _OptionCheck(Claims):
-    """The claims about one option, and the runs they are tried in."""
+    """Requirements of an option, checked in runs."""
 
     DEEPEST = 8
 
@@ -64,16 +64,16 @@ class _OptionCheck(Claims):
                      started)
 
     def suits(self, option: Option) -> bool:
-        """Made for no room."""
+        """Return whether the option is made for any environment."""
         return option.instance is None
 
     def make_place(self, state: Any) -> StartPlace:
-        """Make the place of a given state."""
+        """Return the place of a given state."""
         raise UnsupportedError(f"{self.env} cannot be set to a state, as rooms can: leave states out, or give a seed "
                                "whose random play leads where the option starts")
 
     def wander(self, seed: int, steps: int, rng: np.random.Generator) -> StartPlace | None:
-        """Play at random; returns the way there, none if the episode ended."""
+        """Play at random; returns the actions, or None if the episode ended."""
         self.env.reset(seed=seed)
         actions = [self.draw(rng) for _ in range(steps)]
         for action in actions:
@@ -83,7 +83,7 @@ class _OptionCheck(Claims):
         return self.remember(seed, actions)
 
     def remember(self, seed: int, actions: Sequence[Any]) -> StartPlace:
-        """The place at the end of a way."""
+        """Return the place at the end of a list of actions."""
         def go() -> Any:
             observation, _ = self.env.reset(seed=seed)
             for action in actions:
@@ -93,7 +93,7 @@ class _OptionCheck(Claims):
         return go
 
     def draw(self, rng: np.random.Generator) -> Any:
-        """A primitive of the domain's action space, uniformly at random."""
+        """Sample a primitive uniformly."""
         space = self.env.action_space
         if isinstance(space, spaces.Discrete):
             return self.domain.make_action(int(rng.integers(space.n)))
@@ -101,7 +101,7 @@ class _OptionCheck(Claims):
         return space.sample()
 
     def try_from(self, place: StartPlace) -> bool:
-        """Run it twice from one place; false if it may not start there, or could not be planned."""
+        """Run the option twice from one place; returns false if it cannot start or be planned there."""
         state = place()
         allowed = self.option.initiation(state)
         self.require(isinstance(allowed, bool), "initiation gives a bool", allowed)
@@ -125,7 +125,7 @@ class _OptionCheck(Claims):
 
     def roll_out(self, place: StartPlace, option: Option | None = None, is_shared: bool = False
                  ) -> list[tuple[Any, Any]]:
-        """One run to its end: (state, primitive) of each step. If shared, another run begins after two steps."""
+        """Run to the end; returns (state, primitive) of each step. `shared` begins another run after two steps."""
         option, rng = option or self.option, np.random.default_rng(0)
         state = place()
         option.start(state)
@@ -147,7 +147,7 @@ class _OptionCheck(Claims):
         return steps
 
     def begin_another(self, state: Any) -> None:
-        """Begin another run of the same option, and let it choose once."""
+        """Begin another run of the same option and query its policy once."""
         other = self.option.make_run()
         try:
             other.start(state)
@@ -156,10 +156,10 @@ class _OptionCheck(Claims):
             pass
 
     def look_back(self, states: Sequence[Any], report: PlanningReport) -> None:
-        """Claims about the states that a run went through."""
+        """Check the states of a run."""
 
     def ask(self, stack: list[Option], state: Any, rng: np.random.Generator) -> Any:
-        """The next primitive, through nested options."""
+        """Return the next primitive, through nested options."""
         while True:
             decision = stack[-1].sample_action(state, rng)
             if not isinstance(decision, Option):
@@ -170,7 +170,7 @@ class _OptionCheck(Claims):
             stack.append(decision)
 
     def check_primitive(self, decision: Any) -> Any:
-        """Bring a policy's choice into the form that the environment takes."""
+        """Convert a policy's choice to an action of the environment."""
         claim = f"the policy gives an action of {self.env.action_space}, or an option"
         self.require(not isinstance(decision, bool), claim, decision)
         try:
@@ -179,7 +179,7 @@ class _OptionCheck(Claims):
             self.require(False, claim, decision)
 
     def ends(self, stack: list[Option], state: Any, rng: np.random.Generator) -> bool:
-        """Ask terminations at the state reached, from the innermost out."""
+        """Query the terminations at the new state, from the innermost option outwards."""
         while stack:
             beta = stack[-1].termination(state)
             self.require(isinstance(beta, float) and 0.0 <= beta <= 1.0, "termination gives a probability", beta)
@@ -191,14 +191,14 @@ class _OptionCheck(Claims):
 
 
 class _RoomOptionCheck(_OptionCheck):
-    """The same in a room, which can be set to a state and tells what was pressed."""
+    """Requirements of an option in a room, which can be set to a state and reports presses."""
 
     def __init__(self, option: Option, domain: RoomDomain) -> None:
         super().__init__(option, domain, domain.room.instance.horizon)
         self.room: Any = domain.room
 
     def suits(self, option: Option) -> bool:
-        """Made for this room, or for any."""
+        """Return whether the option is made for this room or any."""
         return option.instance is None or option.instance.id == self.room.instance.id
 
     def make_place(self, state: Any) -> StartPlace:
@@ -211,18 +211,18 @@ class _RoomOptionCheck(_OptionCheck):
         return go
 
     def remember(self, seed: int, actions: Sequence[Any]) -> StartPlace:
-        """The place is the state there."""
+        """Return the current state as a place."""
         return self.make_place(self.room.get_state())
 
     def check_primitive(self, decision: Any) -> int:
-        """A number of the action table."""
+        """Check a number of the action table."""
         count = len(self.room.rules.actions)
         self.require(not isinstance(decision, bool) and decision in range(count),
                      f"the policy gives a primitive from 0 to {count - 1}, or an option", decision)
         return int(decision)
 
     def look_back(self, states: Sequence[Any], report: PlanningReport) -> None:
-        """Only what was meant, or reported as unavoidable, was pressed."""
+        """Check that all presses are of the target or reported as unavoidable."""
         option, instance = self.option, self.room.instance
         if option.targets is None or instance.dynamics.kind != "kinematic" or instance.dynamics.noise:
             return

@@ -1,4 +1,4 @@
-"""The contract of path planners: exact, repeatable paths that join start and goal, prompt when time is up."""
+"""Check of path planners: exact, repeatable paths that join start and goal, and timely termination."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 Position: TypeAlias = tuple[float, float]
 PROMPT = 10.0
-"""A planner whose time is up must have stopped by then, s; late enough for a busy machine."""
+"""Time by which a planner has to stop after its limit, s; generous for a busy machine."""
 
 
 def check_path_planner(name: str, queries: int = 8, seed: int = 0) -> None:
     """Check a registered path planner in three generated rooms.
 
     Args:
-        name: under which it was registered.
-        queries: how many are asked in each room.
+        name: registered name of the planner.
+        queries: number of queries in each room.
         seed: of the queries.
 
     Raises:
-        ContractError: the first claim that does not hold.
+        ContractError: a requirement is violated.
         UnknownNameError: no planner of that name.
     """
     from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL, which the other checks do without
@@ -47,7 +47,7 @@ def check_path_planner(name: str, queries: int = 8, seed: int = 0) -> None:
 
 
 class _PlannerCheck(Claims):
-    """The claims about one path planner in one room."""
+    """Requirements of a path planner in one room."""
 
     def __init__(self, name: str, navigators: tuple[Navigator, Navigator]) -> None:
         super().__init__(f"path planner {name!r}")
@@ -55,14 +55,14 @@ class _PlannerCheck(Claims):
         self.planner, self.collision = name, navigators[0].get_collision(True)
 
     def run(self, queries: int, seed: int) -> int:
-        """Ask queries of two navigators in opposite order; returns how many found an exact path."""
+        """Query two navigators in opposite order; returns the number of exact paths."""
         places = self.draw_places(2 * queries, np.random.default_rng(seed))
         pairs = list(zip(places[::2], places[1::2], strict=True))
         first = [self.ask(0, *pair) for pair in pairs]
         again = [self.ask(1, *pair) for pair in reversed(pairs)][::-1]
         for (start, goal), one, other in zip(pairs, first, again, strict=True):
             self.require(np.array_equal(one.path, other.path),
-                         "the same problem gives the same path, whatever was asked before", (start, goal))
+                         "the same problem gives the same path, independently of earlier queries", (start, goal))
             self.require(one.status in ("exact", "approximate", "not-found", "budget-exhausted"),
                          "the status fits the problem", one)
             if one.status == "exact":
@@ -81,7 +81,7 @@ class _PlannerCheck(Claims):
                                 "them, or None", str(error)) from error
 
     def draw_places(self, number: int, rng: np.random.Generator) -> list[Position]:
-        """Free places on one connected part of the floor."""
+        """Return free positions on one connected part of the floor."""
         collision = self.collision
         points = collision.low * (1 - 2 * rng.random((50 * number, 2)))
         points = points[collision.are_free(points)]

@@ -1,4 +1,4 @@
-"""The contract of puzzles: pure updates, bounded numbers, and a symbolic model that predicts them."""
+"""Check of puzzles: pure updates, bounded observations, and a symbolic model that predicts both."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Poses = tuple[tuple[float, float, float], ...]
 
 
 def check_puzzle(puzzle: Puzzle, steps: int = 200, seed: int = 0) -> None:
-    """Check a puzzle: its rules, its numbers, its symbolic model, and that they agree.
+    """Check the rules, observations and symbolic model of a puzzle against each other.
 
     Args:
-        puzzle: a concrete puzzle, such as `config.make_puzzle(rng)` gives.
+        puzzle: a concrete puzzle, such as from `config.make_puzzle(rng)`.
         steps: primitives of random play, about half of them along the model's operators.
         seed: of the random play.
 
     Raises:
-        ContractError: the first claim that does not hold.
+        ContractError: a requirement is violated.
     """
     _PuzzleCheck(puzzle, np.random.default_rng(seed)).run(steps)
 
 
 class _PuzzleCheck(Claims):
-    """The claims about one puzzle, and the random play they are tried in."""
+    """Requirements of a puzzle, checked in random play."""
 
     def __init__(self, puzzle: Puzzle, rng: np.random.Generator) -> None:
         super().__init__(f"puzzle {puzzle.kind!r}")
@@ -137,7 +137,7 @@ class _PuzzleCheck(Claims):
                              {"state": state, "predicted": sorted(expected), "really": sorted(after)})
 
     def check_reach(self, state: Hashable) -> None:
-        """The goal must be reachable under delete relaxation."""
+        """Check that the goal is reachable under delete relaxation."""
         reached, before = self.puzzle.symbolic.get_facts(state), None
         while reached != before:
             before, reached = reached, reached.union(*(op.relax(reached) for op in self.model.operators))
@@ -147,12 +147,12 @@ class _PuzzleCheck(Claims):
     # --- play ------------------------------------------------------------------------------
 
     def begin(self) -> tuple[Hashable, Poses]:
-        """State and object poses at the start of an episode, from a random start state."""
+        """Return state and object poses of a random start state."""
         state, poses = self.starts[int(self.rng.integers(len(self.starts)))], self.draw_poses()
         return (self.update(state, (), poses) if poses else state), poses
 
     def finish(self, state: Hashable, poses: Poses) -> None:
-        """Follow operators that add facts until the goal holds or none does, so that solved states are seen too."""
+        """Apply operators that add facts until the goal holds or none is left, to reach solved states."""
         for _ in range(2 * len(self.model.operators)):
             facts = self.puzzle.symbolic.get_facts(state)
             useful = [op for op in self.model.operators if op.is_applicable(facts) and not op.apply(facts) <= facts]
@@ -162,7 +162,7 @@ class _PuzzleCheck(Claims):
             self.check_state(state)
 
     def play(self, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
-        """One primitive: an applicable operator, or anything."""
+        """Run one primitive: an applicable operator or a random contact."""
         facts = self.puzzle.symbolic.get_facts(state)
         applicable = [op for op in self.model.operators if op.is_applicable(facts)]
         if applicable and self.rng.random() < 0.5:
@@ -180,7 +180,7 @@ class _PuzzleCheck(Claims):
         return after, poses
 
     def perform(self, op: Operator, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
-        """Do physically what an operator means."""
+        """Execute an operator as contacts."""
         if op.action != "push":
             return self.follow(state, self.puzzle.symbolic.make_contacts(op)._replace(prop_poses=poses)), poses
         moved = list(poses)
@@ -211,7 +211,7 @@ class _PuzzleCheck(Claims):
         return after
 
     def draw_poses(self) -> Poses:
-        """Random poses on a floor of 20 m, without regard to overlaps."""
+        """Sample poses on a floor of 20 m; overlaps are possible."""
         return tuple((float(x), float(y), float(yaw)) for x, y, yaw in
                      self.rng.uniform((-10, -10, -math.pi), (10, 10, math.pi), (len(self.props), 3)))
 

@@ -1,4 +1,4 @@
-"""The choice of an agent to train: the options that `train` and `watch` share. Not a command."""
+"""Options of `train` and `watch` that choose an agent; not a command."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ else:  # choices that `--help` lists
 
 @dataclasses.dataclass(frozen=True)
 class AgentChoice:
-    """Options that say how an agent is trained; dataclasses of commands inherit them."""
+    """Options of an agent's training, inherited by dataclasses of commands."""
 
     settings: tuple[str, ...] = ()
     """Settings to change, as name=value; `hrl-escape train AGENT --list-settings` shows them."""
@@ -27,10 +27,10 @@ class AgentChoice:
     press-reactive (one button by a function of the state, as +reactive does; see `hrl-escape list option-sets`."""
     observation: VectorObservation | None = None
     """Observation of the agent: features by default, or objects for agents that need it; with +planned or +learned it
-    is what the tasks ask for."""
+    is the situation of the tasks."""
 
     def make_spec(self, agent: str | AgentSpec) -> AgentSpec:
-        """The agent of a spec, trained as the options say.
+        """Parse the spec of an agent with these options.
 
         Raises:
             ConfigError: an option contradicts the spec.
@@ -45,5 +45,5 @@ class AgentChoice:
                                    options=options)
 
     def choose_observation(self, spec: AgentSpec) -> str:
-        """Observation that is asked for, or else the one that the agent needs."""
+        """Return the given observation, or the one that the agent needs."""
         return self.observation or spec.default_observation

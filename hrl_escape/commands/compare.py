@@ -1,6 +1,6 @@
-"""Compare agents fairly on the same rooms and write a report: verdict, curves, tables, replays.
+"""Compare agents on the same rooms and write a report: verdict, curves, tables, replays.
 
-    hrl-escape compare                                     # quickstart: do options help, does learning add to them?
+    hrl-escape compare                                     # quickstart: do options help, does learning help?
     hrl-escape compare demo                                # the same as hrl-escape demo
     hrl-escape compare --agents smdp-r-max search-backtrack random-options --room clutter
     hrl-escape compare paper --workers 8
@@ -10,8 +10,8 @@
     hrl-escape compare --agents smdp-dqn random-options --observation objects \
         --train-rooms ladder-1/pair/train#0..16 --test-rooms ladder-1/pair/test
 
-Finished runs are kept: the same command goes on where it was stopped, however it was stopped. In a grid's file, agents
-are tables or short texts, and rooms are short texts:
+Finished runs are kept; the same command resumes. In a grid's file, agents are tables or short texts, and rooms are
+short texts:
 
     primitives = 20000
     rooms = ["clutter#3", "larg-2019(size=4)", "my-room.json", "ladder-1/lattice/test#3"]
@@ -60,34 +60,34 @@ PIPED_WIDTH = 110
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class LaunchArgs:
-    """Options that say where the runs of a grid are made, which `hrl-escape ladder run` has too."""
+    """Options of the execution of a grid, shared with `hrl-escape ladder run`."""
 
     workers: int | None = None
     """Runs at a time; one a core by default."""
     ray: bool = False
-    """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
+    """Run on a Ray cluster that shares the folder (extra `ray`), or on a local Ray."""
     slurm: int | None = None
-    """Run as a Slurm array of this many jobs that share the folder (extra `slurm`); as processes here if there is no
+    """Run as a Slurm array of this many jobs that share the folder (extra `slurm`); as local processes without
     Slurm."""
     resources: tuple[str, ...] = ()
-    """Resources that each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
+    """Resources of each run with Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or of each Slurm job through submitit
     (timeout_min=600 mem_gb=4 cpus_per_task=8 slurm_partition=long)."""
     shard: str = ""
-    """Make only a part of the runs, such as 2/8: one part on each of eight machines that share the folder, each
-    resumable. Then --report."""
+    """Make one part of the runs, such as 2/8 on the second of eight machines that share the folder; then use
+    --report."""
     report: bool = False
-    """Run nothing: report what is finished in the folder."""
+    """Report the finished runs in the folder without running."""
     dry_run: bool = False
     """Run nothing: print how many runs are to be made and about how long they take."""
 
     def make_runs(self, grid: Grid, out: Path) -> Comparison:
-        """Make the part of a grid's runs that is asked for, or read all that are finished."""
+        """Make the requested part of a grid's runs, or read all finished ones."""
         if self.report:
             return read_comparison(out, grid)
         return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"))
 
     def format_options(self, *known: str) -> list[str]:
-        """Words of the command line for what is not at its default and decides runs, but for `known` fields."""
+        """Return the words of the command line for changed options that affect runs, without `known` fields."""
         words = []
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
@@ -108,7 +108,7 @@ class LaunchArgs:
         return RayLauncher(self.workers, resources=resources) if self.ray else LocalLauncher(self.workers)
 
     def describe_work(self, grid: Grid, out: Path) -> str:
-        """Describe how many runs are to be made, and about how long they take."""
+        """Describe the number of missing runs and their estimated time."""
         runs, missing, seconds = count_missing(grid, out)
         words = f"{runs:,} runs, {missing:,} to be made in {out}"
         if seconds is None:
@@ -127,13 +127,13 @@ class CompareArgs(LaunchArgs):
     room: tuple[str, ...] = ()
     """Other rooms: clutter, clutter#3, ladder-1/lattice/test#3, my-room.json; see `hrl-escape room --help`."""
     train_rooms: tuple[str, ...] = ()
-    """Sets of rooms to train in, such as ladder-1/lattice/train#0..64, clutter#0..16 or a .json file of a set."""
+    """Training sets, such as ladder-1/lattice/train#0..64, clutter#0..16 or a .json file of a set."""
     test_rooms: tuple[str, ...] = ()
-    """Sets of rooms to be tested in: one for all --train-rooms, or one for each."""
+    """Test sets: one for all --train-rooms, or one for each."""
     runs: int | None = None
-    """Runs of each agent in each room. Ten or more in a published table."""
+    """Runs of each agent in each room; use ten or more for published tables."""
     first_seed: int | None = None
-    """Training seed of the first run, 0 by default; another one replicates a comparison with fresh seeds."""
+    """Training seed of the first run, 0 by default."""
     primitives: int | None = None
     """Training budget of a run."""
     eval_every: int | None = None
@@ -141,21 +141,25 @@ class CompareArgs(LaunchArgs):
     eval_episodes: int | None = None
     """Episodes in an evaluation."""
     observation: VectorObservation | None = None
-    """Observation of all agents; by default that of the comparison, or objects where one of --agents needs it."""
+    """Observation of all agents; by default the comparison's, or objects if one of --agents needs it."""
     out: Path | None = None
     """Folder of runs and report; runs/NAME by default."""
     open: bool = False
     """Open the report in a browser at the end."""
     json: bool = False
-    """Print the results as JSON instead of words and a table."""
+    """Print the results as JSON."""
 
     @classmethod
     def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
-        """Refuse --rooms, the name of --room in 0.3."""
+        """Raise for --rooms, the name of --room in 0.3."""
         refuse_rooms(words)
 
     def make_grid(self) -> Grid:
-        """The grid that is asked for; `EscapeError` where it cannot be read or has an impossible value."""
+        """Make the requested grid.
+
+        Raises:
+            EscapeError: it cannot be read, or has an impossible value.
+        """
         if Path(self.what).suffix.lower() in (".toml", ".json"):
             grid = load_grid(self.what)
         elif self.what in GRIDS:
@@ -179,12 +183,12 @@ class CompareArgs(LaunchArgs):
         return dataclasses.replace(grid, **changes)
 
     def format_command(self) -> str:
-        """The command line that makes this comparison again."""
+        """Return the command line that reproduces this comparison."""
         return shlex.join(["hrl-escape", "compare", self.what, *self.format_options("what")])
 
 
 def run(args: CompareArgs) -> int:
-    """Run, report, and say what came out; the exit code is 1 if runs failed."""
+    """Run and report; the exit code is 1 if runs failed."""
     grid = args.make_grid()
     console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
     out = args.out or Path("runs") / make_file_name(grid.name)
@@ -194,7 +198,7 @@ def run(args: CompareArgs) -> int:
     try:
         comparison = args.make_runs(grid, out)
     except KeyboardInterrupt:
-        Console(stderr=True).print("Finished runs are kept; the same command goes on from here.")
+        Console(stderr=True).print("Finished runs are kept; the same command resumes.")
         raise
     if args.shard:
         console.print(f"part {args.shard}: {len(comparison.runs)} runs finished; --report reports all parts")
@@ -257,7 +261,7 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
 
 
 def _mark(text: str) -> Text:
-    """Agents' labels, which stand between backticks, in bold."""
+    """Print labels between backticks in bold."""
     marked = Text()
     for number, part in enumerate(text.split("`")):
         marked.append(part, style="bold cyan" if number % 2 else "")

@@ -1,13 +1,13 @@
-"""Write a file of version 0.3 in the form of this version.
+"""Convert a file of version 0.3 to this version.
 
     hrl-escape convert runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape convert grid.toml --out new.toml
 
-PATH is the folder or archive of a training run, a submission, a grid (.toml, .json), a recording (.npz), recorded games
-(.jsonl) or a recorded episode (.json). `smdp-dqn` of version 0.3
-becomes `smdp-dqn+primitives`, `smdp-dqn+no-primitives` becomes `smdp-dqn`, and search baselines, named settings and
-hierarchies get their new names. A converted run can be loaded, watched, recorded and packed; to resume it, train it
-anew. Results of comparisons count for the version that made them: convert the grid, and run it.
+PATH is the folder or archive of a training run, the archive of a trained agent, a grid (.toml, .json), a recording
+(.npz), recorded games (.jsonl) or a recorded episode (.json). `smdp-dqn` of version 0.3 becomes `smdp-dqn+primitives`,
+and `smdp-dqn+no-primitives` becomes `smdp-dqn`. Search baselines, named settings and hierarchies get their new names.
+A converted run can be loaded, watched, recorded and packed, but not resumed. Results of comparisons belong to the
+version that made them: convert the grid and run it again.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ class ConvertArgs:
     """Options of `hrl-escape convert`."""
 
     path: Annotated[Path, tyro.conf.Positional]
-    """Folder or archive of a run, a submission, a grid, a recording, recorded games or a recorded episode."""
+    """Folder or archive of a run, a trained agent, a grid, a recording, recorded games or a recorded episode."""
     out: Path | None = None
     """File or folder to write; by default next to PATH, with -converted behind its name."""
 
 
 def run(args: ConvertArgs) -> None:
-    """Convert one file or folder; what was there stays."""
+    """Convert one file or folder; the original stays."""
     path = args.path.absolute()
     suffix = "" if path.is_dir() else path.suffix
     out = args.out or path.with_name(f"{path.name.removesuffix(suffix)}-converted{suffix}")

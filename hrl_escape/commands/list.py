@@ -56,15 +56,15 @@ TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
           "agents": f"agents; with {SMDP_PREFIX} in front they choose among options",
           "hierarchical": "hierarchical: agents that are given a hierarchy, as in maxq-q+planned",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
-          "references": "references: they learn nothing, and a learner has to beat the best of them"}
+          "references": "references: agents without training, for comparison with learners"}
 
 SLOW = ("recipes", "batched", "option-sets")
-"""Kinds that import every algorithm or the planners, which takes seconds: listed where they are asked for."""
+"""Kinds that import every algorithm or the planners, which takes seconds; listed on request."""
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator", "goal_space": "goals",
               "count_steps": "adjacency", "abstraction": "abstraction"}
-"""Arguments of agents with a task hierarchy -> what they tell the agent beyond what a flat one knows."""
+"""Arguments of agents with a task hierarchy -> privileged information in them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,13 +72,13 @@ class ListArgs:
     """Options of `hrl-escape list`."""
 
     kinds: Annotated[tuple[Kind, ...], tyro.conf.Positional] = ()
-    """Kinds of names to list; by default all but recipes, batched and option-sets, which import much."""
+    """Kinds of names to list; by default all except recipes, batched and option-sets, which are slow to import."""
     json: bool = False
     """Print JSON instead of tables."""
 
 
 def run(args: ListArgs) -> None:
-    """Print names with one line about each."""
+    """Print names with a line of description."""
     makers = {
         "recommended": lambda: {choice.label: f"{choice.use}: {choice.reason}" for choice in RECOMMENDED},
         "presets": lambda: {name: describe_config(get_preset(name)) for name in PRESETS},
@@ -111,7 +111,7 @@ def run(args: ListArgs) -> None:
 
 
 def _describe_recipes() -> dict[str, str]:
-    """Named settings of every agent with several, the default first."""
+    """Return the named settings of every agent with several, the default first."""
     names = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
     found = {name: list(list_recipes(name)) for name in names}
     return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
@@ -122,7 +122,7 @@ def _describe_option_sets() -> dict[str, str]:
 
 
 def _describe_environments() -> dict[str, str]:
-    """Every id that this package registers: its preset, or the first sentence of what the id makes."""
+    """Return every registered id with its preset, or the first sentence of its environment."""
     found = {}
     for name, spec in gymnasium.registry.items():
         if spec.namespace != "hrl_escape":
@@ -136,13 +136,13 @@ def _describe_environments() -> dict[str, str]:
 
 
 def _describe_puzzle(name: str) -> str:
-    """First sentence of the docstring of the puzzle's module, or of its class."""
+    """Return the first sentence of the docstring of the puzzle's module or class."""
     kind = get_puzzle_kind(name).puzzle_type
     return _get_sentence(sys.modules[kind.__module__].__doc__ or kind.__doc__ or "")
 
 
 def _describe_hierarchical(name: str) -> str:
-    """The same for an agent on a task hierarchy, and what that tells it."""
+    """Describe an agent with a task hierarchy and its privileged information."""
     source = _parse_agent(name)
     taken = {node.arg for node in ast.walk(source) if isinstance(node, ast.arg)}
     told = [privilege for part, privilege in PRIVILEGES.items() if part in taken]
@@ -150,7 +150,7 @@ def _describe_hierarchical(name: str) -> str:
 
 
 def _parse_agent(name: str) -> ast.Module:
-    """The agent's module, read without importing it."""
+    """Return the source of the agent's module without importing it."""
     module = find_agent_module(name)
     spec = None if module is None else find_spec(module)
     source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
@@ -158,17 +158,17 @@ def _parse_agent(name: str) -> ast.Module:
 
 
 def _summarise(module: ast.Module) -> str:
-    """First sentence of a module's docstring."""
+    """Return the first sentence of a module's docstring."""
     return _get_sentence(ast.get_docstring(module) or "From another package.")
 
 
 def _get_sentence(document: str) -> str:
-    """First sentence of a docstring, without its full stop; that of `et al.` or of an initial ends none."""
+    """Return the first sentence of a docstring without its full stop; `et al.` and initials do not end it."""
     return re.split(r"(?<!\bet al)(?<!\b[A-Z])\.(?:\s|$)", " ".join(document.split()), maxsplit=1)[0]
 
 
 def _describe_primitives() -> dict[str, str]:
-    """Primitives of the base, and the pair that each arm joint adds."""
+    """Return the primitives of the base and of an arm joint."""
     units = {"forward": "moves one move step", "back": "moves one move step", "turn": "turns one turn step",
              "strafe": "moves one move step", "joint": "moves the joint by one joint step, up to its limits"}
     return {primitive.name: f"action {number}: {units[primitive.name.split('-')[0]]}"

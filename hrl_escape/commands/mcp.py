@@ -1,10 +1,10 @@
-"""Let a language model play a room: serve its tools by the Model Context Protocol, on stdin and stdout.
+"""Serve a room to a language model by the Model Context Protocol, on stdin and stdout.
 
     hrl-escape mcp
     hrl-escape mcp --room ladder-1/lattice/test#3
     hrl-escape mcp --room ladder-1/chain/test#0 --reveal names --record games/mine.jsonl
 
-A client starts this command itself; its configuration needs these words and nothing else. Needs the extra `mcp`.
+A client starts this command; its configuration contains only these words. Requires the extra `mcp`.
 The recorded game can be replayed and compared: see the page on tools.
 """
 
@@ -23,17 +23,17 @@ class McpArgs(RoomChoice):
     """Options of `hrl-escape mcp`."""
 
     reveal: Level = "places"
-    """Told to the caller: names, places or model."""
+    """Information for the caller: names, places or model."""
     options_only: bool = False
     """Offer no primitives."""
     episode_seed: int = 0
     """Episode seed: fixes the start and the noise."""
     record: Path | None = None
-    """File for the game, written at its start and anew after every call, in JSON Lines."""
+    """File for the game in JSON Lines, written after every call."""
 
 
 def run(args: McpArgs) -> None:
-    """Serve one game until the client leaves."""
+    """Serve one game until the client disconnects."""
     from hrl_escape.env.escape_room import EscapeRoomEnv
     from hrl_escape.options.options_env import OptionsEnv
     from hrl_escape.text.mcp_server import make_server, serve  # needs the extra

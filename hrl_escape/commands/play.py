@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class PageAddress:
-    """Options of the page's address, which `watch` has too."""
+    """Options of the page's address, shared with `watch`."""
 
     host: str = HOST
-    """Address to serve on; any other than 127.0.0.1 lets other machines in."""
+    """Address to serve on; addresses other than 127.0.0.1 are open to other machines."""
     port: int = PORT
     """Port to serve on; 0 for any free one."""
     no_open: bool = False
@@ -64,10 +64,10 @@ class PlayArgs(PageAddress, RoomChoice):
     save_to: Path = Path("episodes")
     """Folder for saved episodes."""
     hidden: bool = False
-    """Hide which buttons wait for which: the graph shows what your presses prove, and all of it once you escape."""
+    """Hide the dependency graph: it shows what presses have proved, and everything after the escape."""
 
     def make_episode(self, saved: SavedEpisode | None = None) -> Episode:
-        """Episode in the room that is asked for, or in that of a saved one."""
+        """Make the episode in the requested room, or in the room of a saved episode."""
         if saved is not None:
             refuse_options(self, ("room", "set", "episode_seed"),
                            "chooses what to play, and --replay has room and start: give one of them")

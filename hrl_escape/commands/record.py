@@ -5,7 +5,7 @@
     hrl-escape record runs/smdp-dqn-paper-two-button-0-5a1d3f0c --out learned.html
     hrl-escape record episodes/paper-two-button-0-31-primitives-3f9c02ab.json --out mine.mp4
 
-Without a name the oracle drives. Otherwise name the folder of a run (see `hrl-escape train`), the file of an episode
+By default the oracle drives. Otherwise give the folder of a run (see `hrl-escape train`), the file of an episode
 saved from `hrl-escape play`, a rung with a trained agent, a reference such as search-backtrack, or the spec of an
 agent, which is recorded in its first episode of training.
 """
@@ -47,7 +47,7 @@ class RecordArgs(RoomChoice):
     episode_seed: int = 0
     """Episode seed: fixes the start and the noise."""
     trust: bool = False
-    """Let a run's folder import whatever code it names; only for folders that you trust."""
+    """Allow imports of any code that a run's folder names; only for folders that you trust."""
 
 
 def run(args: RecordArgs) -> None:

@@ -49,13 +49,13 @@ class RoomArgs(RoomChoice):
 
 
 def run(args: RoomArgs) -> int:
-    """Make, check, draw and save as the options say; exit code 1 if a check fails."""
+    """Make, check, draw and save a room; the exit code is 1 if a check fails."""
     for path in args.draw:
         check_picture_name(path)
     if args.camera is not None:
         check_camera(args.camera)
     instance = args.make_instance()
-    make_engine(instance).close()  # refuses a robot that cannot be loaded
+    make_engine(instance).close()  # raises for a robot that cannot be loaded
     report = _describe(instance)
     problem = None
     if args.check:
@@ -71,7 +71,7 @@ def run(args: RoomArgs) -> int:
 
 
 def _describe(instance: RoomInstance) -> dict[str, Any]:
-    """Description of the room as plain values."""
+    """Describe the room as plain values."""
     puzzle, robot = instance.puzzle, instance.robot
     return {
         "name": instance.name,
@@ -95,7 +95,7 @@ def _describe(instance: RoomInstance) -> dict[str, Any]:
 
 
 def _find_dead_end(model: SymbolicModel) -> str | None:
-    """Name goals that are unreachable even under delete relaxation; None if all are reachable."""
+    """Name goals that are unreachable even under delete relaxation, or None if all are reachable."""
     facts = frozenset(model.propositions).difference(*(operator.may_add for operator in model.operators))
     while True:
         reached = facts.union(*(operator.relax(facts) for operator in model.operators))

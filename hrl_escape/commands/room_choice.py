@@ -1,4 +1,4 @@
-"""The choice of a room: the options that every command on a room shares. Not a command.
+"""Options that choose a room, shared by commands; not a command.
 
 A room is named by one text, see `sets.grammar`. Any field of its configuration can be changed by its dotted path.
 """
@@ -19,12 +19,12 @@ from hrl_escape.sets.room_spec import renew_room
 
 DEFAULT_ROOM = "paper-two-button"
 OLD_OPTIONS = ("--preset", "--arguments", "--config", "--load", "--rung")
-"""Options of 0.3 that named a room, as `--seed` without `--room` did."""
+"""Options of 0.3 that named a room, besides `--seed` without `--room`."""
 
 
 @dataclasses.dataclass(frozen=True)
 class RoomChoice:
-    """Options that choose a room; dataclasses of commands inherit them."""
+    """Options that choose a room, inherited by dataclasses of commands."""
 
     room: str | None = None
     """Room, paper-two-button by default: a preset (clutter), an instance of it (clutter#3), a preset with arguments
@@ -36,7 +36,7 @@ class RoomChoice:
 
     @classmethod
     def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
-        """Refuse the options of 0.3 that chose a room.
+        """Raise for the options of 0.3 that chose a room.
 
         Args:
             command: words before the options, such as `hrl-escape solve`.
@@ -49,12 +49,12 @@ class RoomChoice:
 
     @property
     def changes(self) -> dict[str, Any]:
-        """Changed fields, by dotted path."""
+        """Changes by dotted path."""
         return dict(split_assignment(text, "--set", "room.width=30") for text in self.set)
 
     @property
     def is_given(self) -> bool:
-        """A room or a change was asked for."""
+        """Whether a room or a change is given."""
         return self.room is not None or bool(self.set)
 
     @property
@@ -62,11 +62,11 @@ class RoomChoice:
         return RoomConfig() if self.room is None and self.set else self.room or DEFAULT_ROOM
 
     def find_config(self) -> RoomConfig | None:
-        """Find the configuration that the room is sampled from; None for the file of a finished room."""
+        """Find the configuration that the room is sampled from, or None for the file of a finished room."""
         return find_config(self._source, self.changes)
 
     def find_rooms(self) -> NamedRooms:
-        """Find the room, the set of rooms, or what else the text names."""
+        """Find the rooms of the text."""
         source = self._source
         return make_room(source, self.changes) if isinstance(source, RoomConfig) else find_rooms(source, self.changes)
 
@@ -76,7 +76,7 @@ class RoomChoice:
 
 
 def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: bool = False) -> None:
-    """Refuse options of 0.3 by which a command chose a room.
+    """Raise for options of 0.3 that chose a room.
 
     Args:
         command: words before the options.
@@ -106,7 +106,7 @@ def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: boo
 
 
 def refuse_rooms(words: Sequence[str]) -> None:
-    """Refuse `--rooms`, the name of `--room` in 0.3 where several rooms are named; the message shows the new form."""
+    """Raise for `--rooms`, the name of `--room` for several rooms in 0.3; the message shows the new form."""
     given = _read_words(words)
     if "--rooms" in given:
         rooms = (quote_room(str(renew_room(room))) for room in given["--rooms"])
@@ -114,7 +114,7 @@ def refuse_rooms(words: Sequence[str]) -> None:
 
 
 def _read_words(words: Sequence[str]) -> dict[str, list[str]]:
-    """Values of each option, in order; words before the first option go by an empty name."""
+    """Return the values of each option; words before the first option have an empty name."""
     given: dict[str, list[str]] = {"": []}
     name = ""
     for word in words:
@@ -129,7 +129,7 @@ def _read_words(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _name_old(given: dict[str, list[str]], has_seed: bool) -> str:
-    """Text of the room that options of 0.3 chose; `--seed` is its instance seed or says nothing about it."""
+    """Return the text of the room that options of 0.3 chose."""
     def first(name: str, default: str = "") -> str:
         return (given.get(name) or [default])[0]
 
@@ -146,7 +146,7 @@ def _name_old(given: dict[str, list[str]], has_seed: bool) -> str:
 
 
 def refuse_options(args: Any, names: Collection[str], why: str) -> None:
-    """Refuse the first of these options, fields of a dataclass, that was given: it would say nothing."""
+    """Raise for the first of these options that is given, because it has no effect."""
     defaults = {field.name: field.default for field in dataclasses.fields(args)}
     for name in names:
         if getattr(args, name) != defaults[name]:
@@ -154,7 +154,7 @@ def refuse_options(args: Any, names: Collection[str], why: str) -> None:
 
 
 def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
-    """Read `name=value` given to an option; a value that is not JSON is text, and one without bounds is refused."""
+    """Parse `name=value`; a value that is not JSON is text."""
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise ConfigError(option, text, f"name=value is needed, such as {example}")

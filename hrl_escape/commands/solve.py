@@ -1,4 +1,4 @@
-"""Plan the way out of a room, or to one goal in it; run the plan and show it.
+"""Plan an escape from a room, or a path to one goal; run the plan and show it.
 
     hrl-escape solve --room clutter#3
     hrl-escape solve --room ladder-1/chain/test#5 --json
@@ -7,7 +7,7 @@
     hrl-escape solve --room push-block --json
     hrl-escape solve --set dynamics.noise=0.1 dynamics.slip=0.1
 
-Under noise, slip or physics, where a plan is uncertain, meta-actions run one by one and replan as they go.
+Under noise, slip or physics, meta-actions run one by one and replan.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class SolveArgs(RoomChoice):
     goal: str = ESCAPE
     """Goal: escape, a target's name, exit, or a pose x,y or x,y,heading (degrees)."""
     planner: str = "auto"
-    """Method: fields (cost-to-go fields), a path planner along whose path to search (such as RRTConnect), or auto."""
+    """Method: fields (cost-to-go fields), a path planner such as RRTConnect for the search, or auto."""
     budget: int = 300_000
     """Maximum number of search nodes of one plan; a budget gives the same plan on any machine."""
     episode_seed: int = 0
@@ -64,7 +64,7 @@ class SolveArgs(RoomChoice):
 
 @dataclasses.dataclass(frozen=True)
 class _Outcome:
-    """The plan, if one could be made beforehand, and its execution."""
+    """Plan, if one was made in advance, and its execution."""
 
     plan: Plan | None
     run: Execution | ClosedLoopExecution
@@ -75,7 +75,7 @@ class _Outcome:
 
 
 def run(args: SolveArgs) -> int:
-    """Plan, run and show; exit code 1 if the goal was not reached."""
+    """Plan, run and show; the exit code is 1 if the goal was not reached."""
     for path in args.draw:
         check_picture_name(path, *VIDEO_FORMATS, MOTION_ENDING)
     check_camera(args.camera)
@@ -91,7 +91,7 @@ def run(args: SolveArgs) -> int:
 
 
 def _solve(args: SolveArgs, instance: RoomInstance) -> _Outcome:
-    """Plan and run the plan; replan on the way if the dynamics are uncertain."""
+    """Plan and run the plan; replan during execution if the dynamics are uncertain."""
     planner = RoomPlanner(instance, args.planner, args.budget)
     env = EscapeRoomEnv(instance=instance)
     try:

@@ -1,4 +1,4 @@
-"""Train one agent in a room or a set of rooms, with a curve, a log and checkpoints; a stopped run resumes.
+"""Train an agent in a room or a set of rooms, with a log and checkpoints; a stopped run resumes.
 
     hrl-escape train smdp-dqn
     hrl-escape train smdp-r-max
@@ -10,11 +10,11 @@
     hrl-escape train maxq-q+planned
     hrl-escape train ppo --batch 1024 --primitives 5000000
     hrl-escape train dac --batch 64 --primitives 500000
-    hrl-escape train text-agent --settings model=search-random told=names --primitives 2000
+    hrl-escape train text-agent --settings model=search-random reveal=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
 
-`hrl-escape list agents parts` names the agents and the parts of their specs. With smdp- in front they choose among
-options, and with +primitives among primitives too. `hrl-escape list recommended` says which to begin with.
+`hrl-escape list agents parts` lists the agents and the parts of their specs. The prefix smdp- chooses among options,
+and +primitives adds the primitives. `hrl-escape list recommended` lists agents to begin with.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import find_starts, make_agent_env, make_player
 from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.records import record_returns
-from hrl_escape.benchmark.runs import find_starts, make_agent_env, make_player
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.env.instance import RoomInstance
@@ -70,36 +70,35 @@ class TrainArgs(AgentChoice, RoomChoice):
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
     """Spec of the agent, such as smdp-ppo+objects+memory; the prefix smdp- makes it choose among options."""
     primitives: int | None = None
-    """Primitives to train for; 20,000 by default, with --data as many as the agent's passes over it come to."""
+    """Training budget in primitives; 20,000 by default, with --data the agent's number of passes."""
     data: str | None = None
-    """Learn from this data set, or recording, and be tested in its rung's unseen rooms; see `hrl-escape list
+    """Data set or recording for offline training; tests are in unseen rooms of its rung. See `hrl-escape list
     offline`."""
     seed: int = 0
     """Training seed: fixes the agent and every training episode. Give --room too: --seed alone chose a room in 0.3."""
     list_settings: bool = False
-    """Print the agent's settings with their meaning; train nothing."""
+    """Print the agent's settings and exit."""
     eval_every: int | None = None
     """Primitives between evaluations; a twentieth of the budget by default."""
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     batch: int | None = None
-    """Train in this many copies of the room at once, on the batched engine; for the agents of `hrl-escape list
-    batched`."""
+    """Number of copies of the room on the batched engine; for the agents of `hrl-escape list batched`."""
     device: str = "cpu"
-    """Device of the copies, the networks and everything between them, such as cuda; with --batch."""
+    """Device of copies and networks, such as cuda; with --batch."""
     compile: bool = False
-    """Fuse a step of the copies into kernels: half a minute once, then several times as fast; with --batch."""
+    """Compile the step of the copies: half a minute once, then several times as fast; with --batch."""
     out: Path | None = None
     """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED-HASH by default."""
     tensorboard: bool = False
     """Also write TensorBoard's files (extra `tensorboard`)."""
     threads: int = 1
-    """Threads for torch, a part of the run: small networks are quickest with one, many copies with all cores."""
+    """Threads of torch, a part of the run's identity: one is fastest for small networks, all cores for many copies."""
     json: bool = False
     """Print the result as JSON."""
 
     def make_batch(self, spec: AgentSpec, rooms: NamedRooms) -> VectorEnv | Streams:
-        """Copies of the room, or of the rooms of a set, that train together."""
+        """Make copies of the room, or of the rooms of a set, for training."""
         assert self.batch is not None
         given = list_batch_arguments(rooms)
         observation = self.choose_observation(spec)
@@ -124,7 +123,7 @@ class TrainArgs(AgentChoice, RoomChoice):
 
 
 def run(args: TrainArgs) -> None:
-    """Train an agent, evaluate it as the options say, and print its learning curve."""
+    """Train and evaluate an agent, and print its learning curve."""
     spec = args.make_spec(args.agent)
     if spec.is_reference and spec.name != TEXT_AGENT:
         raise UnsupportedError(f"{spec.name} learns nothing: `hrl-escape watch {spec.name}` shows it, and `hrl-escape "
@@ -172,7 +171,7 @@ def run(args: TrainArgs) -> None:
 
 
 def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
-    """Train from a data set, and print the curve."""
+    """Train from a data set and print the curve."""
     from hrl_escape.data.materialise import load_data
 
     data = load_data(args.data or "", observation=args.choose_observation(spec))

@@ -6,12 +6,12 @@
     hrl-escape watch maxq-q+planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
     hrl-escape watch lattice
-    hrl-escape watch text-agent --settings model=search-random told=names
+    hrl-escape watch text-agent --settings model=search-random reveal=names
 
-Without a name the oracle drives. The spec of an agent trains that agent while you watch, and a reference such as
-search-backtrack plays by its rule. The folder of a run (see
-`hrl-escape train`) lets the trained agent drive in its room; the name of a rung (see `hrl-escape ladder list`) that of
-the trained agent that comes with the package. Space pauses, P runs one primitive, D one decision.
+By default the oracle drives. The spec of an agent trains that agent while you watch. A reference such as
+search-backtrack plays by its rule. The folder of a run (see `hrl-escape train`) loads its agent and room. The name of a
+rung (see `hrl-escape ladder list`) loads the trained agent that comes with the package. Space pauses, P runs one
+primitive, D one decision.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     """The driver: oracle or another reference, the spec of an agent to train, the folder of a run, or a rung
     with a trained agent."""
     pace: float = 5.0
-    """Primitives a second at first; 0 for no limit."""
+    """Initial primitives per second; 0 for no limit."""
     paused: bool = False
     """Wait for the page's play button before the first primitive."""
     seed: int = 0
@@ -48,11 +48,11 @@ class WatchArgs(PageAddress, AgentChoice, RoomChoice):
     episode_seed: int = 0
     """Seed of the episodes."""
     trust: bool = False
-    """Let a run's folder import whatever code it names; only for folders that you trust."""
+    """Allow imports of any code that a run's folder names; only for folders that you trust."""
 
 
 def run(args: WatchArgs) -> None:
-    """Open the page in the browser and let the driver act until interrupted."""
+    """Open the page in the browser and run the driver until interrupted."""
     torch.set_num_threads(1)
     text, own = find_driver(args.driver)
     instance = (None if args.is_given else own) or args.make_instance()

@@ -1,4 +1,4 @@
-"""Cards of data sets: what one is, how it was made, its scores beside their references, and a picture."""
+"""Cards of data sets: origin, size, scores with references, and a picture."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from hrl_escape.figures import STYLE, save_figure
 from hrl_escape.step_info import ENDINGS
 
 DRAWN = 4
-"""Episodes in the picture."""
+"""Number of episodes in the picture."""
 REFERENCE_WORDS = ("chance and best_known are mean returns in the first test rooms (reference_rooms): of random legal "
                    "options, and of the best known escapes")
 
 
 def describe(recording: Recording) -> dict[str, Any]:
-    """The card as JSON values."""
+    """Return the card as JSON values."""
     about, durations = recording.about, recording.duration
     counts = np.bincount(recording.ended, minlength=len(ENDINGS))
     return {
@@ -50,7 +50,7 @@ def describe(recording: Recording) -> dict[str, Any]:
 
 
 def describe_unrecorded(spec: DataSpec, published: PublishedRecording) -> dict[str, Any]:
-    """The card of a published recording that is not here, as JSON values; None for what only the recording tells."""
+    """Return the card of a published recording without its file, as JSON values; unknown values are None."""
     return {
         "name": spec.name,
         "behaviour": RECORDING_KINDS[spec.kind],
@@ -69,7 +69,7 @@ def describe_unrecorded(spec: DataSpec, published: PublishedRecording) -> dict[s
 
 
 def draw_card(recording: Recording) -> Figure:
-    """Paths of the first episodes in the first room, and the durations of all decisions."""
+    """Draw paths of the first episodes in the first room, and the durations of all decisions."""
     room = recording.rooms[int(recording.room[0])]
     numbers = np.flatnonzero(recording.room == recording.room[0])[:DRAWN]
     paths = [_replay(recording, int(number)) for number in numbers]
@@ -93,12 +93,12 @@ def draw_card(recording: Recording) -> Figure:
 
 
 def save_card(path: str | Path, recording: Recording) -> None:
-    """Write the picture; the same bytes every time."""
+    """Write the picture, reproducibly."""
     save_figure(path, draw_card(recording))
 
 
 def _replay(recording: Recording, number: int) -> list[RoomState]:
-    """States of an episode."""
+    """Return the states of an episode."""
     rules = Kinematics(recording.rooms[int(recording.room[number])])
     states = [begin_episode(rules, recording, number)]
     for action in recording.action[list_episodes(recording)[number].primitives].tolist():

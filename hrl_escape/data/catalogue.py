@@ -1,7 +1,7 @@
-"""Catalogue of data sets, data only: eight rungs of `ladder-1`, six kinds of behaviour, three sizes.
+"""Catalogue of data sets: eight rungs of `ladder-1`, six kinds of behaviour, three sizes.
 
-`lattice-play-v1` has 10^5 primitives and comes with the package, `lattice-play-1m-v1` has 10^6 and
-`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records what does not come with it.
+`lattice-play-v1` has 10^5 primitives and comes with the package. `lattice-play-1m-v1` has 10^6 and
+`lattice-play-10m-v1` 10^7; `hrl-escape data make NAME` records them.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ BENCHMARK = "ladder-1"
 RUNGS = ("pair", "chain", "lattice-5", "lattice", "clutter", "code", "freight", "reach")
 RECORDING_KINDS = {
     "play": "legal options, drawn uniformly",
-    "noisy": "the same with options of which one in five fails at its start",
-    "expert": "the planner's order of options",
-    "medium": "a learner that has just reached half of the planner's efficiency, one choice in ten at random",
-    "stitch": "play cut after one or two decisions, so that no trajectory goes all the way",
+    "noisy": "as play, and one option in five fails at its start",
+    "expert": "the oracle's options",
+    "medium": "a learner at half of the oracle's efficiency, with one random choice in ten",
+    "stitch": "play in trajectories of one or two decisions",
     "explore": "primitives, drawn uniformly",
 }
 RECORDING_SIZES = {"": 100_000, "1m": 1_000_000, "10m": 10_000_000}
 FOLDER = Path("data")
-"""Folder that recorded recordings go to, and are looked for in."""
+"""Folder of recordings made here."""
 SHIPPED = Path(str(files("hrl_escape.data") / "recordings"))
 """Folder of the recordings that come with the package."""
 _FORM = re.compile(rf"(?P<rung>.+)-(?P<kind>{'|'.join(RECORDING_KINDS)})(?:-(?P<size>1m|10m))?-v1")
@@ -41,29 +41,29 @@ class DataSpec:
 
     @property
     def name(self) -> str:
-        """Name, such as `lattice-play-v1`."""
+        """Name of the data set, such as `lattice-play-v1`."""
         return "-".join(part for part in (self.rung, self.kind, self.size, "v1") if part)
 
     @property
     def primitives(self) -> int:
-        """Primitives in it, at least."""
+        """Smallest number of primitives."""
         return RECORDING_SIZES[self.size]
 
     def list_rooms(self, primitives: int) -> str:
-        """Rooms for so many primitives, the first of the rung's training set: one for every 1,000, at most 250."""
+        """Rooms for a number of primitives: the first of the rung's training set, one for every 1,000, at most 250."""
         return f"{BENCHMARK}/{self.rung}/train#0..{max(1, min(primitives // 1000, 250))}"
 
 
 def list_specs() -> tuple[DataSpec, ...]:
-    """All data sets of the catalogue, small ones first."""
+    """Return all data sets of the catalogue, small ones first."""
     return tuple(DataSpec(rung, kind, size) for size in RECORDING_SIZES for rung in RUNGS for kind in RECORDING_KINDS)
 
 
 def parse_spec(name: str) -> DataSpec:
-    """The data set of a name.
+    """Return the data set of a name.
 
     Raises:
-        UnknownNameError: there is none.
+        UnknownNameError: no such data set.
     """
     form = _FORM.fullmatch(name)
     if form is None or form["rung"] not in RUNGS:
@@ -72,11 +72,11 @@ def parse_spec(name: str) -> DataSpec:
 
 
 def find_recording(name: str | Path) -> Path:
-    """File of a data set: a path that ends in `.npz`, one that comes with the package, or one in `data/`.
+    """Return the file of a data set: a path that ends in `.npz`, a file of the package, or one in `data/`.
 
     Raises:
         UnknownNameError: the catalogue has no such name.
-        FileReadError: it has not been recorded; the message says how.
+        FileReadError: it has not been recorded; the message shows the command.
     """
     if isinstance(name, Path) or name.endswith(".npz"):
         return Path(name)

@@ -1,7 +1,7 @@
-"""Files of version 0.3 in the form of this version: recordings, recorded games and recorded episodes.
+"""Conversion of files of version 0.3: recordings, recorded games and recorded episodes.
 
-Options were called by number (`meta-01`) or in words (`press button-1`). `hrl-escape convert` calls `convert_data`, and
-`benchmark/conversion.py` for runs, submissions and grids.
+Version 0.3 named options by number (`meta-01`) or in words (`press button-1`). `hrl-escape convert` calls
+`convert_data`, and `benchmark/conversion.py` for runs, trained agents and grids.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.agents.old_fields import rename_fields
 from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_recording
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -31,14 +32,14 @@ EPISODE_SCHEMA = 3
 
 
 def convert_data(path: Path, out: Path) -> str | None:
-    """Write a recording (.npz), recorded games (.jsonl) or a recorded episode (.json) in the form of this version.
+    """Convert a recording (.npz), recorded games (.jsonl) or a recorded episode (.json) to this version.
 
     Args:
         path: the file.
-        out: what to write.
+        out: file to write.
 
     Returns:
-        What was converted, in words; None where the file is none of these.
+        Description of the converted file, or None for other kinds of files.
 
     Raises:
         FileReadError: there is no such file, or it is damaged.
@@ -52,7 +53,7 @@ def convert_data(path: Path, out: Path) -> str | None:
 
 
 def name_options(room: RoomInstance) -> tuple[str, ...]:
-    """Names of a room's options, the exit's last."""
+    """Return the names of a room's options, `go-to-exit` last."""
     return tuple(name_goal(goal, room) for goal in (*list_goals(room), ExitGoal()))
 
 
@@ -90,20 +91,11 @@ def _convert_games(path: Path, out: Path) -> str | None:
     return f"{len(games)} recorded games"
 
 
-def _rename_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of `OptionsEnv` with the present name of the option set."""
-    made = dict(options)
-    if "flavour" in made:
-        chosen = made.pop("flavour")
-        made["option_set"] = "press-reactive" if chosen == "press-markov" else chosen
-    return made
-
-
 def _convert_game(lines: Sequence[Any]) -> Game:
-    """Play the calls of a game again, with the options' new names; what happened must be the same."""
+    """Replay the calls of a game with the new names of options; raises if the outcome differs."""
     begun, *said, last = lines
     room = RoomInstance.from_dict(begun["room"])
-    env = OptionsEnv(EscapeRoomEnv(instance=room), **_rename_options(begun["options"]))
+    env = OptionsEnv(EscapeRoomEnv(instance=room), **rename_fields(begun["options"]))
     try:
         session = RoomSession(env, begun["told"] if "told" in begun else begun["reveal"])
         session.reset(seed=int(begun["seed"]))

@@ -1,8 +1,8 @@
-"""Data sets in the forms of others: torch's tensors, Minari's sets (Younis et al. 2024), OGBench's files (Park et al.).
+"""Export of data sets: torch tensors, Minari data sets (Younis et al. 2024), OGBench files (Park et al. 2025).
 
-Minari gets two sets of the same episodes, of primitives and of decisions; a decision's `infos` hold its duration,
-discount and discounted reward beside the legal actions, under the same keys at the first state, where nothing ran.
-OGBench gets a training file and one of every tenth trajectory for validation.
+Minari gets two sets of the same episodes, one of primitives and one of decisions. The `infos` of a decision hold its
+duration, discount, discounted reward and legal actions; the first state has the same keys. OGBench gets a training file
+and a validation file with every tenth trajectory.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
 
 MINARI_FOLDER = "MINARI_DATASETS_PATH"
-"""Variable of the environment by which Minari finds its data sets."""
+"""Environment variable with Minari's folder of data sets."""
 VALIDATION = 10
 """One trajectory in this many is for validation."""
 
 
 def to_torch(data: RecordedDecisions | Primitives) -> Any:
-    """The same with tensors in place of arrays; memory is shared where it can be."""
+    """Return the data as tensors, which share memory where possible."""
     import torch
 
     kind: Any = type(data)
@@ -36,7 +36,7 @@ def to_torch(data: RecordedDecisions | Primitives) -> Any:
 
 
 def iterate_trajectories(data: DataSet, level: DataLevel | None = None) -> Iterator[Any]:
-    """Yield each trajectory as `Decisions` or `Primitives` of its own, holding one block at a time."""
+    """Yield each trajectory as `Decisions` or `Primitives`, with one block in memory at a time."""
     for block in data.blocks(level):
         kind: Any = type(block)
         ends = np.flatnonzero(block.last) + 1
@@ -49,16 +49,16 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLi
     """Write two sets for Minari, `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`; returns both.
 
     Their environments are `hrl_escape/Ladder-v1` over the rooms of the recording, and over its test rooms for
-    evaluation. The scores of reference are chance over options and the best known return.
+    evaluation. Reference scores are the returns of the random policy over options and the best known return.
 
     Args:
-        data: what to write.
+        data: the data set.
         namespace: first part of the sets' names.
-        folder: folder of data sets, which Minari finds by `MINARI_DATASETS_PATH`; None for Minari's own.
+        folder: folder of data sets, as `MINARI_DATASETS_PATH`, or None for Minari's default.
 
     Raises:
         MissingExtraError: Minari is not installed.
-        UnsupportedError: the rooms are no rung's, so that no id makes them again.
+        UnsupportedError: the rooms do not belong to a rung, so they have no registered id.
     """
     try:
         import minari  # pyright: ignore[reportMissingImports]  # an extra
@@ -95,7 +95,7 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLi
 
 @contextmanager
 def _using_minari_folder(folder: str | PathLike[str] | None) -> Iterator[None]:
-    """Let Minari keep its data sets in a folder for the time being; nothing changes for None."""
+    """Set Minari's folder of data sets temporarily; None changes nothing."""
     before = os.environ.get(MINARI_FOLDER)
     if folder is not None:
         os.environ[MINARI_FOLDER] = str(Path(folder).absolute())
@@ -109,7 +109,7 @@ def _using_minari_folder(folder: str | PathLike[str] | None) -> Iterator[None]:
 
 
 def _make_buffer(kind: Any, number: int, part: Any) -> Any:
-    """Buffer of one trajectory: a row more of observations and infos than of actions."""
+    """Make the buffer of one trajectory, with one more row of observations and infos than of actions."""
     observations = np.concatenate([part.observation, part.next_observation[-1:]])
     over, last = part.terminated, part.last
     if isinstance(part, Primitives):
@@ -128,15 +128,14 @@ def _make_buffer(kind: Any, number: int, part: Any) -> Any:
 
 
 def to_ogbench(data: DataSet, folder: str | PathLike[str]) -> tuple[Path, Path]:
-    """Write `NAME.npz` and `NAME-val.npz` as OGBench's loader reads them; returns the two paths.
+    """Write `NAME.npz` and `NAME-val.npz` in the format of OGBench's loader; returns the two paths.
 
-    Every tenth trajectory is for validation; of fewer than ten, the last. A trajectory has a row a state: float32
-    `observations`, `actions`, and `terminals`, 1 in its last row, whose action is none. Beside these are `rewards`,
-    `masks` (0 where the task ended, 1 where it was cut), and, of decisions, `durations`, `discounts` and
-    `action_masks`.
+    Every tenth trajectory is for validation, or the last of fewer than ten. A trajectory has one row per state: float32
+    `observations`, `actions`, and `terminals`, which is 1 in the last row. Further arrays are `rewards`, `masks` (0 at
+    terminations, 1 at truncations) and, for decisions, `durations`, `discounts` and `action_masks`.
 
     Raises:
-        UnsupportedError: a single trajectory, of which nothing can be left for validation.
+        UnsupportedError: there is only one trajectory, so none for validation.
     """
     split: list[dict[str, list[Any]]] = [{}, {}]
     for number, part in enumerate(iterate_trajectories(data)):
@@ -158,7 +157,7 @@ def to_ogbench(data: DataSet, folder: str | PathLike[str]) -> tuple[Path, Path]:
 
 
 def _make_rows(part: Any) -> dict[str, Any]:
-    """Arrays of one trajectory, a row a state."""
+    """Return the arrays of one trajectory, one row per state."""
     count = len(part.action)
     observations = np.concatenate([part.observation, part.next_observation[-1:]])
     rows = {"observations": observations.reshape(count + 1, -1), "actions": np.append(part.action, 0),

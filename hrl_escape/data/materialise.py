@@ -1,7 +1,7 @@
-"""Recordings replayed into observations, rewards and masks: `load_data`, block by block.
+"""Replay of recordings into observations, rewards and masks, block by block.
 
-The replay is the engine's own kinematics, episode by episode from its seed, so that what comes out is what the agent
-saw, to the bit. It never holds more than one block beside the recording, unless all of it is asked for.
+Episodes are replayed from their seeds by the engine's kinematics and equal the recorded ones to the last bit. Memory
+holds the recording and one block, unless all data are requested.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from hrl_escape.sets.instance_set import InstanceSet
 
 DataLevel = Literal["primitives", "decisions"]
 BLOCK = 65_536
-"""Primitives in a block, at least; an episode is never cut in two."""
+"""Smallest number of primitives in a block; episodes are not divided."""
 
 
 class RecordingEpisode(NamedTuple):
-    """Places of an episode in a recording's arrays: its number, and slices of its decisions and primitives."""
+    """Position of an episode in a recording's arrays: its number and the slices of its decisions and primitives."""
 
     number: int
     decisions: slice
@@ -42,7 +42,7 @@ class RecordingEpisode(NamedTuple):
 
 
 def list_episodes(recording: Recording) -> list[RecordingEpisode]:
-    """Places of all episodes of a recording, in order."""
+    """Return the positions of all episodes of a recording, in order."""
     first = np.concatenate([[0], np.cumsum(recording.decisions, dtype=np.int64)])
     at = np.concatenate([[0], np.cumsum(recording.duration, dtype=np.int64)])
     return [RecordingEpisode(n, slice(int(i), int(j)), slice(int(at[i]), int(at[j])))
@@ -50,13 +50,13 @@ def list_episodes(recording: Recording) -> list[RecordingEpisode]:
 
 
 def begin_episode(rules: Kinematics, recording: Recording, number: int) -> RoomState:
-    """First state of an episode of a recording, by its number, under the rules of its room."""
+    """Return the first state of an episode of a recording, with the rules of its room."""
     start, key = draw_episode(int(recording.episode_seed[number]), 0, len(rules.instance.starts))
     return rules.make_state(rules.instance.starts[start], key)
 
 
 class DataSet:
-    """A recording, and what is to be read from it.
+    """Data set: a recording with the observation and level to read.
 
         data = load_data("lattice-play-v1")
         decisions = data.read_decisions(gamma=0.99)
@@ -64,10 +64,10 @@ class DataSet:
 
     Args:
         recording: the recording.
-        observation: by name, as of `EscapeRoomEnv`.
-        level: what `read` and `blocks` give by default, `decisions` or `primitives`.
-        gamma: discount per primitive, likewise.
-        rooms: set of the rung that `make_env` tests in.
+        observation: by name, as in `EscapeRoomEnv`.
+        level: default of `read` and `blocks`, `decisions` or `primitives`.
+        gamma: default discount per primitive.
+        rooms: set of the rung for `make_env`.
     """
 
     def __init__(self, recording: Recording, observation: str = "objects", level: DataLevel = "decisions",
@@ -101,7 +101,7 @@ class DataSet:
 
     @property
     def test_rooms(self) -> InstanceSet:
-        """Rooms to be tested in: another set of the rung; those of the recording where it is of no rung."""
+        """Test rooms: another set of the rung, or the recording's rooms if they do not belong to a rung."""
         place = self.recording.rooms.place
         if place is None or self._rooms == "own":
             return self.recording.rooms
@@ -110,7 +110,7 @@ class DataSet:
         return load_benchmark(place["benchmark"])[place["rung"]].sets[self._rooms]
 
     def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
-        """Make the environment to be tested in, with the actions of the decisions, or of the primitives."""
+        """Make the test environment, with the actions of the decisions or of the primitives."""
         primitives = self.recording.primitive_count
         has_options = options and len(self.recording.about["actions"]) > primitives
         given: Any = {"include_primitives": primitives > 0, "discount": gamma} if has_options else False
@@ -119,22 +119,22 @@ class DataSet:
     # --- reading -------------------------------------------------------------------------
 
     def read(self) -> RecordedDecisions | Primitives:
-        """All of the level, in memory."""
+        """Read all data of the default level."""
         return self.read_decisions(self.gamma) if self.level == "decisions" else self.read_primitives()
 
     def read_decisions(self, gamma: float) -> RecordedDecisions:
-        """All decisions, in memory, with rewards discounted by gamma."""
+        """Read all decisions, with rewards discounted by gamma."""
         return _join(RecordedDecisions, list(self.blocks("decisions", gamma)))
 
     def read_primitives(self) -> Primitives:
-        """All primitives, in memory."""
+        """Read all primitives."""
         return _join(Primitives, list(self.blocks("primitives")))
 
     def blocks(self, level: DataLevel | None = None, gamma: float | None = None, size: int = BLOCK
                ) -> Iterator[Any]:
         """Yield the data in blocks of whole episodes, in order, each `Decisions` or `Primitives`.
 
-        Each but the last has at least `size` primitives; level and discount are the data set's by default.
+        Each block except the last has at least `size` primitives. Level and discount default to the data set's.
         """
         every, gamma = (level or self.level) == "primitives", self.gamma if gamma is None else gamma
         make = self._make_primitives if every else self._make_decisions
@@ -157,7 +157,7 @@ class DataSet:
 
     def _replay(self, rules: Kinematics, observe: Callable[[RoomState], NDArray[Any]], episode: RecordingEpisode,
                 every: bool, seen: list[NDArray[Any]], rewards: list[float]) -> None:
-        """Append an episode's rewards, and observations of every state, or where decisions begin; check how it ends."""
+        """Append rewards and observations of an episode, of all states or of decisions, and check its end."""
         durations = self.recording.duration[episode.decisions].tolist()
         actions = self.recording.action[episode.primitives].tolist()
         state = begin_episode(rules, self.recording, episode.number)
@@ -218,7 +218,7 @@ class DataSet:
 
     def _find_ends(self, episodes: list[RecordingEpisode], rows: slice
                    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.int64]]:
-        """Flags of the decisions that terminate and that are a trajectory's last, and the number of the trajectory."""
+        """Return flags of terminating decisions and of last decisions, and the number of each trajectory."""
         recording = self.recording
         finals = np.array([episode.decisions.stop - 1 for episode in episodes]) - rows.start
         terminated = np.zeros(rows.stop - rows.start, np.bool_)
@@ -238,20 +238,20 @@ def load_data(name: str | PathLike[str] | Recording, observation: str = "objects
               gamma: float = 0.99, rooms: str = "test") -> DataSet:
     """Open a data set.
 
-    Loaded by a published name, a trial run or a differing `medium` gives a warning.
+    A trial or a different `medium` recording under a published name gives a warning.
 
     Args:
         name: of the catalogue, the path of a recording, or a recording.
         observation: by name, as of `EscapeRoomEnv`.
         level: `decisions` or `primitives`.
         gamma: discount per primitive.
-        rooms: set of the rung that agents are tested in; `own` for the rooms of the recording.
+        rooms: set of the rung for tests; `own` for the rooms of the recording.
 
     Raises:
         UnknownNameError: no such data set or observation.
         FileReadError: it has not been recorded, or the recording is damaged or of another engine.
-        VerificationError: by a published name, the recording is another, which another version of an engine made; its
-            path opens it all the same.
+        VerificationError: the recording differs from the published one of its name, because another engine version made
+            it; it can be opened by its path.
     """
     if isinstance(name, Recording):
         recording = name
@@ -265,7 +265,7 @@ def load_data(name: str | PathLike[str] | Recording, observation: str = "objects
 
 def _discount(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: float
               ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Discounted and plain sums of the rewards of each decision, in the order of sums of `OptionsEnv`."""
+    """Compute discounted and plain sums of each decision's rewards, in the order of summation of `OptionsEnv`."""
     begin = np.cumsum(duration) - duration
     discounted, summed = np.zeros(len(duration)), np.zeros(len(duration))
     for place in range(int(duration.max())):
@@ -282,7 +282,7 @@ def _cover(episodes: list[RecordingEpisode]) -> slice:
 
 
 def _skip_last(steps: Iterable[slice]) -> NDArray[np.int64]:
-    """Places of all states but each episode's last, where an episode of n steps shows n + 1 states."""
+    """Return the indices of all states except each episode's last; an episode of n steps has n + 1 states."""
     counts = [each.stop - each.start for each in steps]
     return np.arange(sum(counts)) + np.repeat(np.arange(len(counts)), counts)
 

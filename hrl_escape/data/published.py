@@ -1,9 +1,8 @@
-"""Published recordings: their contents, and whether a recording is one of them.
+"""Published recordings: their contents, and the comparison of a recording with the published one of its name.
 
-Who records a published data set anew, or loads it by its name, is told where it is another. One that another version of
-an engine made is refused under the name; one of `medium` may differ, for a network plays it that another processor or
-version of torch may train otherwise, a trial has another number of primitives, and one's own play is none of the
-catalogue's: all three are only told.
+A recording by another engine version is refused under a published name. Three kinds of difference only give a warning:
+a `medium` recording, whose network depends on processor and torch version; a trial with another number of primitives;
+and a recording of your own play.
 """
 
 from __future__ import annotations
@@ -29,18 +28,18 @@ PUBLISHED = SHIPPED / "published.toml"
 
 @dataclasses.dataclass(frozen=True)
 class PublishedRecording:
-    """A published recording as it is known before it is recorded here."""
+    """Entry of the table of published recordings."""
 
     content: str  # `Recording.content`
-    bytes: int  # size of its file; another zlib may give another
+    bytes: int  # size of its file, which depends on the version of zlib
     primitives: int  # in it
     decisions: int  # in it
     episodes: int  # in it
-    scores: Mapping[str, float]  # those of its card, rounded
+    scores: Mapping[str, float]  # scores of its card, rounded
 
 
 def read_published() -> Mapping[str, PublishedRecording]:
-    """Published recordings, by name; the table is read once."""
+    """Return the published recordings by name."""
     return _read(PUBLISHED)
 
 
@@ -50,30 +49,30 @@ def _read(table: Path) -> Mapping[str, PublishedRecording]:
 
 
 RecordingStanding = Literal["published", "unpublished", "medium", "trial", "played", "other"]
-"""A recording under a name: the published one; of a name without one; a whole `medium` of another network; recorded
-with another number of primitives than the name says; someone's own play; another for other reasons."""
+"""Standing of a recording under a name: the published one; a name without one; a full `medium` of another network; a
+trial with another number of primitives; your own play; or a difference for another reason."""
 
 
 class RecordingComparison(NamedTuple):
-    """A recording held against the published one of a name; `difference` tells of another one what it is and holds."""
+    """Comparison of a recording with the published one of its name; `difference` describes a differing one."""
 
     standing: RecordingStanding
     difference: str = ""
 
     @property
     def fits(self) -> bool:
-        """True where the recording may bear the name."""
+        """Whether the recording can be used under the name."""
         return self.standing in ("published", "unpublished", "medium")
 
     @property
     def words(self) -> str:
-        """A clause that tells of it."""
+        """Describe the comparison in a clause."""
         known = {"published": "it is the published recording", "unpublished": "no recording of this name is published"}
         return known.get(self.standing, f"it {self.difference}")
 
 
 def compare_published(name: str, recording: Recording) -> RecordingComparison:
-    """Hold a recording against the published one of a name."""
+    """Compare a recording with the published one of a name."""
     known = read_published().get(name)
     if known is None:
         return RecordingComparison("unpublished")
@@ -82,7 +81,7 @@ def compare_published(name: str, recording: Recording) -> RecordingComparison:
     spec, found = parse_spec(name), _tell_difference(recording, known)
     if recording.about["kind"] == "played":
         return RecordingComparison("played", f"is one's own play and {found}")
-    shown = min(len(recording.action), spec.primitives)  # of an older recording, which does not tell what was asked for
+    shown = min(len(recording.action), spec.primitives)  # older recordings do not hold the requested number
     if recording.about.get("asked_primitives", shown) != spec.primitives:
         return RecordingComparison("trial", f"is a trial and {found}")
     if spec.kind == "medium":
@@ -92,14 +91,14 @@ def compare_published(name: str, recording: Recording) -> RecordingComparison:
 
 
 def refuse_other(name: str, found: RecordingComparison, path: Path) -> VerificationError:
-    """Make the error for a recording that may not bear a name; it names the file, and what to do."""
+    """Make the error for a recording that cannot be used under a name."""
     cause = "Another number of primitives or another version of an engine made it. "
     return VerificationError(f"{path}: {name} {found.difference}. {'' if found.standing == 'played' else cause}"
-                             "Give its path to use it all the same, or remove it and record anew")
+                             "Give its path to use it, or remove it and record again")
 
 
 def warn_of_other(name: str, recording: Recording, path: Path) -> None:
-    """Warn of a trial, of one's own play, or of a `medium` of another network under the name of a published recording.
+    """Warn about a trial, your own play, or a different `medium` recording under a published name.
 
     Raises:
         VerificationError: another version of an engine made it.

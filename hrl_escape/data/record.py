@@ -1,9 +1,9 @@
-"""Recording of data sets: six kinds of behaviour in the training rooms of a rung; a killed recording goes on.
+"""Recording of data sets: six kinds of behaviour in the training rooms of a rung; stopped recordings resume.
 
-An episode's seed, and every draw of its policy, follow from the data set's name, the room and the number of the
-episode in it, so that the same command gives the same episodes wherever it runs and however often it was stopped; but
-`medium` is played by a network trained before, which another processor or version of torch may round otherwise, so that
-its episodes are the same on one machine only. A recording of a published recording's name and size is held against it.
+Seeds of episodes and policies follow from the data set's name, the room and the number of the episode in it, so a
+command gives the same episodes on any machine and after any interruption. `medium` is an exception: its network depends
+on processor and torch version, so its episodes are reproducible on one machine only. A recording with the name and size
+of a published one is compared with it.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ FAILURE = 0.2
 RANDOM_SHARE = 0.1
 """Share of random choices in `medium`."""
 MEDIUM_PRIMITIVES, MEDIUM_ROOMS, MEDIUM_EPISODES = 40_000, 20, 20
-"""Most primitives that `medium` is trained for, its rooms, and the episodes over which its efficiency is a mean."""
+"""Training budget of `medium` in primitives, number of its rooms, and number of episodes of its efficiency."""
 REFERENCE_ROOMS = 20
 SAVE_SECONDS = 20.0
 
@@ -58,7 +58,7 @@ ActionRule: TypeAlias = Callable[[Any, NDArray[np.bool_], np.random.Generator, b
 
 
 class RecordingWriter:
-    """Episodes as they are recorded; begins with those of another recording where one is given."""
+    """Recorder of episodes, which can continue another recording."""
 
     def __init__(self, done: Recording | None = None) -> None:
         self._lists: dict[str, list[Any]] = {
@@ -69,7 +69,7 @@ class RecordingWriter:
         return len(self._lists["action"])
 
     def count_in(self, room: int) -> tuple[int, int]:
-        """Episodes, and primitives, recorded in a room; it is the one recorded last, or none has been."""
+        """Return the number of episodes and primitives in a room, the last one recorded or a new one."""
         episodes = 0
         while episodes < len(self._lists["room"]) and self._lists["room"][-1 - episodes] == room:
             episodes += 1
@@ -78,12 +78,12 @@ class RecordingWriter:
 
     @property
     def last_room(self) -> int:
-        """Room of the last episode, 0 before the first."""
+        """Number of the last episode's room; 0 before the first episode."""
         return self._lists["room"][-1] if self._lists["room"] else 0
 
     def add_decision(self, action: int, legal: NDArray[Any], primitives: list[int], ended: str, cut: bool = False
                      ) -> None:
-        """Add a decision that has ended."""
+        """Append a finished decision."""
         row = {"option": action, "duration": len(primitives), "policy": 0, "ended": ENDINGS.index(ended),
                "cut": int(cut), "legal": pack_mask(legal)}
         for name, value in row.items():
@@ -91,24 +91,24 @@ class RecordingWriter:
         self._lists["action"].extend(primitives)
 
     def end_episode(self, seed: int, room: int, decisions: int, legal: NDArray[Any], end: int) -> None:
-        """Add the episode whose decisions were added last; see `Recording`."""
+        """Append the episode of the latest decisions; see `Recording`."""
         row = {"episode_seed": seed, "room": room, "decisions": decisions, "end": end, "legal": pack_mask(legal)}
         for name, value in row.items():
             self._lists[name].append(value)
 
     def make_recording(self, about: Mapping[str, Any]) -> Recording:
-        """The recording of all episodes so far."""
+        """Return the recording of all episodes so far."""
         return Recording(about, **{name: np.array(self._lists[name], dtype) for name, dtype in FIELDS.items()})
 
 
 def pack_mask(legal: NDArray[Any]) -> int:
-    """Legal actions as bits."""
+    """Pack legal actions as bits."""
     return sum(1 << int(action) for action in np.flatnonzero(legal))
 
 
 def make_about(name: str, kind: str, rooms_text: str, rooms: InstanceSet, env: gymnasium.Env, command: str
                ) -> dict[str, Any]:
-    """Make the text of a recording about itself, without its scores."""
+    """Make the `about` table of a recording, without scores."""
     inner: Any = env.unwrapped
     names = inner.instance.robot.actions.names
     actions, count = (env.action_names, env.primitive_count) if isinstance(env, OptionsEnv) else (names, len(names))
@@ -124,12 +124,12 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
 
     Args:
         spec: the data set.
-        path: file to write; what there is so far is beside it, ending in `.part`, until the recording is whole.
-        primitives: another number than the name says, for trials, which are held against nothing.
+        path: file to write; an unfinished recording has the same name with `.part`.
+        primitives: number of primitives of a trial; by default the number of the name.
         progress: show a progress line; by default on a terminal only.
 
     Raises:
-        VerificationError: it is not the published recording; it is then beside `path`, ending in `.other.npz`.
+        VerificationError: it differs from the published recording; it is then written with the ending `.other.npz`.
     """
     total, part = primitives or spec.primitives, path.with_suffix(".part")
     rooms = find_set(text := spec.list_rooms(total))
@@ -168,7 +168,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
 
 def _record_episode(writer: RecordingWriter, env: gymnasium.Env, choose: ActionRule, kind: str, seed: int, room: int,
                     most: int) -> int:
-    """Record one episode, cut where it reaches `most` primitives; returns how many it ran."""
+    """Record one episode of at most `most` primitives; returns its number of primitives."""
     rng = np.random.default_rng(seed)
     observation, info = env.reset(seed=seed, options={"instance_index": room})
     count = decisions = end = 0
@@ -199,7 +199,7 @@ def _read_mask(info: Mapping[str, Any], env: gymnasium.Env) -> NDArray[np.bool_]
 
 
 def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[gymnasium.Env, ActionRule]:
-    """The environment of a kind, and its choices."""
+    """Make the environment of a kind and its policy."""
     room = rooms.make_env(observation="objects" if spec.kind == "medium" else "features")
     if spec.kind == "explore":
         return room, _choose_any
@@ -212,7 +212,7 @@ def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[g
     policy = train_medium(rooms[:MEDIUM_ROOMS], folder).make_policy()
 
     def choose(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
-        """The agent's greedy choice, but for one in ten."""
+        """Return the agent's greedy choice, or a random one with probability 0.1."""
         if begins:
             policy.begin_episode(rng)
         return sample_legal(legal, rng) if rng.random() < RANDOM_SHARE else policy.choose(observation, legal)
@@ -226,7 +226,7 @@ def _choose_any(observation: Any, legal: NDArray[np.bool_], rng: np.random.Gener
 
 
 class _Expert:
-    """The planner's order of options, made anew for each episode; any legal option where it fails."""
+    """Follow the oracle's options, planned for each episode; a random legal option if planning fails."""
 
     def __init__(self, env: OptionsEnv) -> None:
         self._env = env
@@ -245,7 +245,7 @@ class _Expert:
 
 
 class HalfWay(Stateful):
-    """Probe that ends a run at half of the best known efficiency, over the latest episodes."""
+    """Probe that ends a run when the efficiency over the latest episodes is half of the best known one."""
 
     STATE = (Kept("_latest", pack=list, unpack=lambda saved: deque(saved, maxlen=MEDIUM_EPISODES)),)
 
@@ -263,15 +263,15 @@ class HalfWay(Stateful):
         """Nothing to measure."""
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
-        """Look at the episode's length."""
+        """Record the episode's length."""
         self._latest.append(self._fewest / episode.length if episode.success else 0.0)
         self.is_done = len(self._latest) == MEDIUM_EPISODES and float(np.mean(self._latest)) >= 0.5
 
 
 def train_medium(rooms: InstanceSet, folder: Path) -> Agent:
-    """Train `smdp-dqn` in some rooms until it is half as good as the planner, or its budget is spent.
+    """Train `smdp-dqn` in some rooms until it has half of the oracle's efficiency, or the budget is spent.
 
-    It explores as much as it is recorded with, so that its training episodes measure what the recording will hold.
+    It explores with the same probability as in the recording, so training episodes measure the recorded efficiency.
     """
     fewest = float(np.mean([_count_fewest(room) for room in rooms]))
     env = rooms.make_env({"include_primitives": False}, observation="objects")
@@ -289,13 +289,13 @@ def train_medium(rooms: InstanceSet, folder: Path) -> Agent:
 
 
 def _count_fewest(room: Any) -> float:
-    """Primitives of the best known escape from the room's first start; the horizon where none is known."""
+    """Return the primitives of the best known escape from the room's first start, or the horizon."""
     return float(find_best_known(room, list_start_states(room)[0]).primitives or room.horizon)
 
 
 @cache
 def measure_references(rung: str, count: int = REFERENCE_ROOMS) -> dict[str, float]:
-    """Mean returns in the first test rooms: of random legal options (`chance`), and the best known (`best_known`)."""
+    """Compute mean returns in the first test rooms: of random options (`chance`), and best known (`best_known`)."""
     rooms = find_set(f"{BENCHMARK}/{rung}/test#0..{count}")
     best = [find_best_known(room, list_start_states(room)[0]).value for room in rooms]
     env = rooms.make_env({"include_primitives": False}, observation="features")
@@ -313,7 +313,7 @@ def measure_references(rung: str, count: int = REFERENCE_ROOMS) -> dict[str, flo
 
 
 def _measure(recording: Recording) -> dict[str, float]:
-    """Mean return and length of the recording's whole episodes, and the share that escaped."""
+    """Compute mean return, mean length and success rate of the recording's complete episodes."""
     returns: list[float] = []
     for block in load_data(recording, observation="features").blocks("decisions"):
         returns.extend(np.bincount(block.trajectory - block.trajectory[0], block.summed_reward))
@@ -324,12 +324,12 @@ def _measure(recording: Recording) -> dict[str, float]:
 
 
 def make_played_recording(name: str, rooms: str, paths: Sequence[str | Path]) -> Recording:
-    """Make a recording of episodes that `hrl-escape play` saved; its decisions are the moves, primitives among them.
+    """Make a recording from episodes saved by `hrl-escape play`; its decisions are the moves, including primitives.
 
-    The rooms that were played are given as text, such as `paper-two-button#0`.
+    Rooms are given as a text, such as `paper-two-button#0`.
 
     Raises:
-        EpisodeFileError: no episode, a room that is not among `rooms`, or moves that do not lead where they led.
+        EpisodeFileError: no episode, a room that is not in `rooms`, or moves whose replay differs.
     """
     if not paths:
         raise EpisodeFileError("no episode is given: save some with the Save button of hrl-escape play")

@@ -1,9 +1,9 @@
-"""Recordings: what was chosen, from which a data set is replayed to the bit. Most take less than a byte a primitive.
+"""Recordings: the choices of episodes, from which a data set is replayed exactly. Most take under a byte a primitive.
 
 A recording is one compressed npz of flat arrays and a JSON text, `about`. It holds the seed and room of every episode,
-every primitive, and for every decision its option, duration, ending and the options that were legal. States,
-observations and rewards are not stored: the engine makes them again (`materialise.py`). Reading pickles nothing, bounds
-every size before a byte is unpacked, and checks the content's hash.
+every primitive, and for every decision its option, duration, ending and legal options. States, observations and rewards
+are computed by replay (`materialise.py`). Reading uses no pickle, limits every size before unpacking, and checks the
+hash of the content.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from hrl_escape.sets.instance_set import InstanceSet
 
 RECORDING_FORMAT = 2
 DYNAMICS = "EscapeRoom-v1"
-"""Version of the rules that a recording is replayed by: that of the environment's id."""
+"""Version of the rules of replay: the version in the environment's id."""
 ENDS = ("cut", "terminated", "truncated")
 """Ends of an episode; `Recording.end` is an index into it."""
 LARGEST_RECORDING = 2**29
-"""Bytes that a recording's arrays may take together, 512 MiB: 10^8 primitives."""
+"""Largest total size of a recording's arrays, 512 MiB or 10^8 primitives."""
 FIELDS: Mapping[str, type] = {
     "episode_seed": np.uint64, "room": np.int32, "decisions": np.int32, "end": np.uint8, "option": np.int16,
     "duration": np.uint16, "policy": np.uint8, "ended": np.uint8, "cut": np.uint8, "legal": np.uint64,
@@ -50,17 +50,17 @@ class Recording:
     Attributes:
         about: JSON values: `name`, `kind`, `rooms` (a text of `sets.grammar`) and the hash of its seeds, `engine`,
             `dynamics`, `package`, `command`, `actions` (names), `primitive_count` (actions that are primitives),
-            `policies`, `scores`, and of what was recorded for a name of the catalogue `asked_primitives`.
+            `policies`, `scores` and, for names of the catalogue, `asked_primitives`.
         episode_seed: of `reset`, uint64 (E,).
         room: index in the set of rooms, int32 (E,).
         decisions: of each episode, int32 (E,).
-        end: how each ended, an index into `ENDS`, uint8 (E,).
+        end: end of each episode, an index into `ENDS`, uint8 (E,).
         option: action of each decision, int16 (D,).
-        duration: primitives that it ran, uint16 (D,).
-        policy: which of `about["policies"]` chose, uint8 (D,).
+        duration: primitives of each decision, uint16 (D,).
+        policy: index into `about["policies"]`, uint8 (D,).
         ended: ending of the option, an index into `step_info.ENDINGS`, uint8 (D,).
-        cut: 1 where a trajectory ends although the episode goes on, uint8 (D,).
-        legal: bit a is set where action a was legal, at each decision and each episode's last state, uint64 (D + E,).
+        cut: 1 where a trajectory ends within an episode, uint8 (D,).
+        legal: bit a is set if action a is legal, at each decision and each episode's last state, uint64 (D + E,).
         action: every primitive, int8 (P,).
     """
 
@@ -88,9 +88,9 @@ class Recording:
 
     @cached_property
     def content(self) -> str:
-        """SHA-256 of the arrays, the rooms and the actions, whichever version recorded them; 64 hexadecimal digits.
+        """SHA-256 of arrays, rooms and actions, independent of the recording version; 64 hexadecimal digits.
 
-        Options count by their numbers, as contents were published before options were named after their goals.
+        Options are identified by number, because hashes were published before options had names.
         """
         count, actions = self.primitive_count, self.about["actions"]
         return self._hash({"rooms_id": self.about["rooms_id"], "primitive_count": count,
@@ -109,16 +109,16 @@ class Recording:
         """Rooms of the recording.
 
         Raises:
-            FileReadError: here the text names other rooms than where the recording was recorded.
+            FileReadError: in this version the text names other rooms.
         """
         rooms = find_set(self.about["rooms"])
         if rooms.describe()["id"] != self.about["rooms_id"]:
             raise FileReadError(f"recording {self.about['name']}: its rooms {self.about['rooms']} are not those of "
-                                f"this version (recorded with hrl_escape {self.about['package']}); record it anew")
+                                f"this version (recorded with hrl_escape {self.about['package']}); record it again")
         return rooms
 
     def select(self, room: int) -> Recording:
-        """Episodes in one of the rooms, as a recording of their own."""
+        """Return the episodes in one of the rooms as a recording."""
         kept = self.room == room
         rows = np.repeat(kept, self.decisions)
         parts = {"legal": np.repeat(kept, self.decisions + 1), "action": np.repeat(rows, self.duration)}
@@ -127,12 +127,12 @@ class Recording:
 
     @property
     def primitive_count(self) -> int:
-        """Actions of the decisions that are primitives; they come first."""
+        """Number of actions that are primitives, which come first."""
         return int(self.about["primitive_count"])
 
 
 def save_recording(path: str | os.PathLike[str], recording: Recording) -> None:
-    """Write a recording atomically; equal recordings give equal bytes, with the same zlib."""
+    """Write a recording atomically; equal recordings give equal bytes with the same version of zlib."""
     about = {**recording.about, "digest": recording.digest}
     arrays = {name: getattr(recording, name) for name in FIELDS}
     arrays["about"] = np.frombuffer(json.dumps(about, sort_keys=True).encode(), np.uint8)
@@ -141,15 +141,15 @@ def save_recording(path: str | os.PathLike[str], recording: Recording) -> None:
 
 
 def load_recording(path: str | os.PathLike[str], version: int = RECORDING_FORMAT) -> Recording:
-    """Read a recording, and check that it is whole and of this engine.
+    """Read a recording and check it.
 
     Args:
         path: the file.
-        version: format that it must have; another one than the present is for conversion alone.
+        version: required format; other formats than the present are for conversion.
 
     Raises:
         OldFormatError: it is of version 0.3.
-        FileReadError: it is missing, damaged, something else, or of another engine or version.
+        FileReadError: it is missing, damaged, not a recording, or of another engine or version.
     """
     with open_plain(path, "recording", largest=LARGEST_RECORDING) as file:
         try:
@@ -170,13 +170,13 @@ def load_recording(path: str | os.PathLike[str], version: int = RECORDING_FORMAT
             return recording
         except OldFormatError:
             raise
-        except Exception as error:  # damaged bytes make the readers of zip, npy and JSON raise almost anything
+        except Exception as error:  # readers of zip, npy and JSON raise many types of errors on damaged bytes
             raise FileReadError(f"{Path(path)}: this recording is damaged or is something else "
                                 f"({describe_damage(error)})") from error
 
 
 def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, dtype: type) -> np.ndarray:
-    """Read one flat array of a type, whose claimed size must be that of its bytes."""
+    """Read one flat array of a type and check its size."""
     with archive.open(member) as file:
         if npy.read_magic(file) != (1, 0):
             raise ValueError(f"{member.filename} has another header than numpy writes")
@@ -189,7 +189,7 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo, dtype: type) -> np.
 
 
 def _check_version(path: str | os.PathLike[str], about: Mapping[str, Any], version: int) -> None:
-    """Refuse what another engine, other rules or another form of recordings must replay."""
+    """Raise for a recording of another engine, other rules or another format."""
     ours = {"format": version, "engine": "bullet", "dynamics": DYNAMICS}
     for name, value in ours.items():
         if name == "format" and about[name] == 1 != version:
@@ -200,7 +200,7 @@ def _check_version(path: str | os.PathLike[str], about: Mapping[str, Any], versi
 
 
 def _check_sizes(recording: Recording) -> None:
-    """Refuse arrays that contradict each other."""
+    """Raise for arrays that contradict each other."""
     counts = {"decisions": (recording.decisions.astype(np.int64).sum(), len(recording.option)),
               "durations": (recording.duration.astype(np.int64).sum(), len(recording.action)),
               "legal": (len(recording.option) + len(recording.room), len(recording.legal))}

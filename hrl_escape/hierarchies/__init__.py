@@ -1,6 +1,6 @@
-"""Hierarchies made from a room: what its symbolic model and its planner know, as tasks and programs for agents.
+"""Task hierarchies of a room, made from its symbolic model and its planner, as data for agents.
 
-It stands above agents, options and planning; agents and rooms never see each other.
+Agents do not import rooms; a hierarchy is passed to them as tasks and functions.
 """
 
 import lazy_loader

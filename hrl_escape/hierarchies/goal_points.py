@@ -1,4 +1,4 @@
-"""Goal spaces of a room: events that can come about in it, or displacements on its floor."""
+"""Goal spaces of a room: its events, or displacements on its floor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BEARINGS = 8
 
 
 def make_event_space(rooms: Situations) -> GoalSpace:
-    """Absolute goals: touch a target, make a fact true, be at the exit; in this order.
+    """Make absolute goals: touch a target, make a fact true, or be at the exit, in this order.
 
     A point has a bit for each touched target, for each fact that a relevant operator makes true, and for the exit.
     """
@@ -40,10 +40,10 @@ def make_event_space(rooms: Situations) -> GoalSpace:
 
 
 def make_displacement_space(rooms: Situations) -> GoalSpace:
-    """Relative goals: so many moves in each of eight directions. A point is a square of the floor, one move wide.
+    """Make relative goals: displacements in eight directions. A point is a square of the floor, one move wide.
 
     Raises:
-        UnsupportedError: the robot presses by hand, which no displacement on the floor moves.
+        UnsupportedError: the robot presses by hand, and displacements move only its base.
     """
     instance, stride = rooms.instance, rooms.instance.robot.actions.stride
     if instance.dynamics.press_with == "hand":

@@ -1,7 +1,7 @@
-"""A room in which an agent runs a synthesised hierarchy: the flat environment, with all that its tasks ask for.
+"""Environment for an agent with a task hierarchy: a flat room whose observation is the situation that tasks read.
 
-Primitives, rewards and episodes are those of the flat room, so budgets and statistics are, too. The observation is the
-situation that tasks read, which is the privilege of such an agent; `structure` is what the agent is made with.
+Primitives, rewards and episodes are the same as in the flat room, and so are budgets and statistics. The situation
+holds facts of the room that other agents do not observe. `structure` holds the agent's hierarchy.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 
 
 class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Wrapper around a flat room; `train` gives its `structure` to the agent.
+    """Wrapper of a flat room for agents with a task hierarchy; `train` passes its `structure` to the agent.
 
     Args:
         env: a flat room, always the same instance.
         kind: kind of hierarchy that the agent takes, as in `synthesise`.
         low_level: `planned` or `learned`.
-        abstract: let each task see only what is relevant to it.
-        cell: squares by which poses are distinguished in a learned low level, m; the length of a move by default.
+        abstract: each task observes only the relevant part of the situation.
+        cell: size of the squares that discretise poses in a learned low level, m; the length of a move by default.
 
     Attributes:
-        structure: arguments of the agent beside spaces and settings.
+        structure: arguments of the agent besides spaces and settings.
 
     Raises:
         UnknownNameError: no such kind or low level.
-        UnsupportedError: the puzzle needs more than presses, the environment changes its room, or a low level of this
-            kind cannot be planned.
+        UnsupportedError: the puzzle requires more than presses, the environment changes its room, or the low level of
+            this kind cannot be planned.
     """
 
     def __init__(self, env: gymnasium.Env, kind: HierarchyKind = "maxq", low_level: str = "planned",
@@ -57,7 +57,7 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self.structure = make_structure(self._situations, kind, low_level, abstract)
 
     def observe(self, state: RoomState) -> NDArray[np.float64]:
-        """The observation of a state of the room; for `make_learned_options`."""
+        """Return the observation of a state of the room, for `make_learned_options`."""
         return self._situations.pack(state)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -65,7 +65,7 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Begin an episode.
 
         Raises:
-            UnsupportedError: in another room.
+            UnsupportedError: the environment has changed its room.
         """
         _, info = self.env.reset(seed=seed, options=options)
         if self._room.instance.id != self._id:
@@ -74,21 +74,21 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self._situations.pack(self._room.get_state()), info
 
     def step(self, action: Any) -> tuple[NDArray[Any], Any, bool, bool, dict[str, Any]]:
-        """Run one primitive; the observation is the situation of the state reached."""
+        """Run one primitive; returns the situation of the new state as observation."""
         _, reward, terminated, truncated, info = self.env.step(action)
         return self._situations.pack(self._room.get_state()), reward, terminated, truncated, info
 
 
 class HierarchyVectorEnv(VectorWrapper):
-    """The same for many copies of a room that step together.
+    """`HierarchyEnv` for many copies of a room that step together.
 
     Args:
-        env: copies of one instance, of which none begins an episode in the step in which the last one ends.
+        env: copies of one instance, with automatic reset in the step after the end of an episode.
 
     Raises:
         UnknownNameError: no such kind or low level.
-        UnsupportedError: the puzzle needs more than presses, there are several instances, or a low level of this kind
-            cannot be planned.
+        UnsupportedError: the puzzle requires more than presses, there are several instances, or the low level of this
+            kind cannot be planned.
         ConfigError: another kind of automatic reset.
     """
 
@@ -102,7 +102,7 @@ class HierarchyVectorEnv(VectorWrapper):
         self._rooms = env
         self._single: tuple[HierarchyKind, str] = kind, low_level
         self._situations = Situations(instance)
-        make_structure(self._situations, kind, low_level)  # which refuses what cannot be
+        make_structure(self._situations, kind, low_level)  # raises for unsupported rooms
         self.single_observation_space = self._situations.space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
@@ -116,7 +116,7 @@ class HierarchyVectorEnv(VectorWrapper):
         return self._pack(), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Run one primitive in every room; observations are the situations of the states reached."""
+        """Run one primitive in every room; returns the situations of the new states as observations."""
         _, reward, terminated, truncated, infos = super().step(actions)
         return self._pack(), reward, terminated, truncated, infos
 

@@ -1,6 +1,6 @@
-"""A room as its tasks see it: pose, facts of the symbolic model, what is touched; packed into an observation and back.
+"""Situations: the pose, touched targets and facts of a room that tasks read, packed into an observation and back.
 
-The vector is the whole state of a room without noise, but for its clock.
+Without noise the vector is the full state of a room, except the number of primitives.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from hrl_escape.planning.route import Route
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 
 SECTORS = 8
-"""Most directions that a learned low level distinguishes."""
+"""Largest number of directions in a learned low level."""
 
 _Pose = tuple[int, int, int, tuple[int, ...], int, bool]
 """Column and row of a cell, sector of the heading, joints, touched targets as bits, an open door."""
 
 
 class Situation(NamedTuple):
-    """A moment in a room."""
+    """Situation of a room at one time."""
 
-    state: RoomState  # pose and touching; the puzzle's state stands for all in which the exit is as open
+    state: RoomState  # pose and touching; the puzzle's state is one representative with the same open exit
     facts: frozenset[str]  # propositions that hold
     is_open: bool  # the exit is open
 
 
 class Situations:
-    """Predicates, views and plans of one room, of which tasks are made.
+    """Predicates, views and plans of one room, for its tasks.
 
     Attributes:
         model: of the puzzle.
-        operators: those relevant to the exit.
+        operators: operators that are relevant to the exit.
         space: of packed observations.
 
     Raises:
-        UnsupportedError: the puzzle asks for more than presses.
+        UnsupportedError: the puzzle requires more than presses.
     """
 
     def __init__(self, instance: RoomInstance, cell: float | None = None) -> None:
@@ -76,13 +76,13 @@ class Situations:
 
     @cached_property
     def planner(self) -> RoomPlanner:
-        """The room's planner, which this process shares."""
+        """The room's planner, shared by the process."""
         return get_planner(self.instance)
 
     # --- packing ------------------------------------------------------------------------
 
     def pack(self, state: RoomState) -> NDArray[np.float64]:
-        """The observation of a state, float64 (numbers,)."""
+        """Pack a state into an observation, float64 (numbers,)."""
         facts = self.instance.puzzle.symbolic.get_facts(state.puzzle)
         targets = range(len(self.instance.targets))
         return np.array([
@@ -93,7 +93,7 @@ class Situations:
         ], np.float64)
 
     def read(self, observation: Any) -> Situation:
-        """The situation of an observation."""
+        """Unpack the situation of an observation."""
         numbers, joints = np.asarray(observation).tolist(), self._joints
         offsets = tuple(numbers[4 + joints : 4 + 2 * joints])
         held = numbers[4 + 2 * joints : 4 + 2 * joints + len(self._propositions)]
@@ -111,33 +111,33 @@ class Situations:
     # --- predicates ---------------------------------------------------------------------
 
     def is_touching(self, seen: Seen, target: int) -> bool:
-        """The robot touches a target."""
+        """Return whether the robot touches a target."""
         return bool(seen.state.state.touching >> target & 1)
 
     # --- plans --------------------------------------------------------------------------
 
     def find_route(self, here: Situation, goal: Goal) -> Route | None:
-        """The planner's route from here; None where there is none."""
+        """Plan a route, or None if there is none."""
         try:
             return self.planner.routes.find_route(here.state, goal)
         except PlanningFailed:
             return None
 
     def plan_first(self, here: Situation, goal: Goal) -> int | None:
-        """First primitive of the planner's route from here; None where there is no route, or nothing to do."""
+        """Return the first primitive of the planned route, or None without a route or at its end."""
         route = self.find_route(here, goal)
         return next(iter(route.primitives), None) if route else None
 
     def can_escape(self, seen: Seen, primitive: int) -> bool:
-        """A primitive ends the episode, by the room's rules."""
+        """Return whether a primitive ends the episode."""
         return self.planner.rules.step(seen.state.state, primitive).terminated
 
     def get_goal(self, target: int | None) -> Goal:
-        """The planner's goal: to press a target, or without one to leave by the exit."""
+        """Return the planner's goal: press a target, or go to the exit if `target` is None."""
         return ExitGoal() if target is None else PressGoal(target)
 
     def get_place(self, target: int | None) -> tuple[float, float]:
-        """Centre of a target, or without one of the exit, on the floor, m."""
+        """Return the position of a target on the floor, or of the exit if `target` is None, m."""
         if target is None:
             return self.instance.exit.centre
         return self.instance.targets[target].x, self.instance.targets[target].y
@@ -145,11 +145,11 @@ class Situations:
     # --- views --------------------------------------------------------------------------
 
     def see_place(self, seen: Seen) -> Hashable:
-        """Facts and touched targets: what is to be done yet, and at which target the robot stands."""
+        """View of facts and touched targets."""
         return tuple(sorted(seen.state.facts)), seen.state.state.touching
 
     def see_pose(self, seen: Seen) -> _Pose:
-        """Cell, sector and joints, what is touched, and an open door; nothing else of the puzzle."""
+        """View of cell, sector, joints, touched targets and the open exit, without facts of the puzzle."""
         return self._get_pose(seen.state)
 
     def _get_pose(self, here: Situation) -> _Pose:
@@ -160,13 +160,13 @@ class Situations:
         return round(state.x / self._cell), round(state.y / self._cell), sector, state.joint_steps, state.touching, door
 
     def list_facts(self, here: Situation) -> NDArray[np.float64]:
-        """The same as `see_place`, as numbers (fact_count,): 1 for facts that hold, 1 for targets that are touched."""
+        """Return `see_place` as a vector (fact_count,): 1 for each true fact and each touched target."""
         return np.array([*(name in here.facts for name in self._propositions),
                          *(here.state.touching >> target & 1 for target in range(len(self.instance.targets)))],
                         np.float64)
 
     def list_pose(self, here: Situation) -> NDArray[np.float64]:
-        """The same as `see_pose`, as numbers (pose_count,)."""
+        """Return `see_pose` as a vector (pose_count,)."""
         column, row, sector, joints, touching, door = self._get_pose(here)
         touched = (touching >> target & 1 for target in range(len(self.instance.targets)))
         return np.array([column, row, sector, door, *joints, *touched], np.float64)

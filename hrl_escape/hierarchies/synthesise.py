@@ -1,14 +1,14 @@
-"""Hierarchies synthesised from a room: operators become tasks, preconditions legality, relevance abstraction.
+"""Synthesis of task hierarchies from a room's symbolic model.
 
-The symbolic model of the puzzle says which tasks there are, when each may be called and when it is over. What remains
-to be learned is their order and, with a learned low level, the way to each target. With a planned low level the
-planner walks.
+Each operator becomes a task: its preconditions decide when the task is legal, its effects when it is over, and
+relevance gives its state abstraction. The agent learns the order of tasks and, with a learned low level, the path to
+each target. With a planned low level the planner moves the robot.
 
-Landmarks are facts that every plan makes true, and the exit after them: goals of a manager. Which are left, and which
-of them come first, is found anew from the facts that hold, so that a landmark that was lost is one again.
+Landmarks are facts that every plan makes true, followed by the exit. They are the goals of a manager. The remaining
+landmarks are computed from the current facts, so a fact that becomes false is a landmark again.
 
-Feudal learning's tree is made of the room's floor at several resolutions. A manager sees its cell and the facts that
-hold. An order leads to the next cell, or is to search: to make one of the open landmarks true, or to escape.
+The tree of feudal learning divides the room's floor at several resolutions. A manager observes its cell and the current
+facts. It orders a move to the next cell, or a search: make one of the open landmarks true, or escape.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", low_level: 
         kind: `maxq`, a task graph for `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
             `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`; `events`, a goal space for
             `hac`, `sol` and `option-keyboard`; `displacements`, one for `hiro` and `hrac`.
-        low_level: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
-        abstract: let each task see only what is relevant to it; without, all see pose and facts.
-        cell: squares by which poses are distinguished in a learned low level, m; the length of a move by default.
+        low_level: `planned`, the planner moves to each target; `learned`, the agent learns to move by primitives.
+        abstract: each task observes only what is relevant to it; otherwise all observe pose and facts.
+        cell: size of the squares that discretise poses in a learned low level, m; the length of a move by default.
 
     Raises:
         UnknownNameError: no such kind or low level.
-        UnsupportedError: the puzzle needs more than presses, or a low level of this kind cannot be planned.
+        UnsupportedError: the puzzle requires more than presses, or the low level of this kind cannot be planned.
     """
     structure = make_structure(Situations(instance, cell), kind, low_level, abstract)
     return structure[STRUCTURES[kind]]
@@ -74,7 +74,7 @@ def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", low_level: 
 
 def make_structure(situations: Situations, kind: HierarchyKind, low_level: str, abstract: bool = True
                    ) -> Mapping[str, Any]:
-    """Arguments, beside spaces and settings, of an agent that takes this kind; raises as `synthesise`."""
+    """Return the arguments of an agent with this kind, besides spaces and settings; raises as `synthesise`."""
     for what, name, known in (("kind of hierarchy", kind, KINDS), ("low_level", low_level, LOW_LEVELS)):
         if name not in known:
             raise UnknownNameError(what, name, known)
@@ -110,7 +110,7 @@ def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierar
     graph |= {name: list(primitives) for name in goals}
     see: dict[str | int | tuple[str, str | int], View] = {name: rooms.see_all for name in graph}
     if abstract:
-        # Planned, a walk's value is its length; learned, it depends on the pose. A press needs no more than a walk.
+        # The value of a planned path is its length, of a learned one a function of the pose. The press is part of it.
         see |= {name: _make_length_view(rooms, target) if planned else rooms.see_pose for name, target in goals.items()}
         see |= {operator.name: rooms.see_place for operator in rooms.operators} | {_ROOT: rooms.see_place}
     see |= {primitive: _make_primitive_view(rooms, primitive, planned) if abstract else rooms.see_all
@@ -138,7 +138,7 @@ def _make_length_view(rooms: Situations, target: int | None) -> View:
 
 
 def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> View:
-    """A primitive earns the same everywhere but where it escapes; a learned low level must find out where that is."""
+    """View of primitives: the reward differs only at the exit, whose position a learned low level has to discover."""
 
     def see(seen: Seen) -> Any:
         if not seen.state.is_open:
@@ -149,7 +149,7 @@ def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> Vi
 
 
 def _make_place_finder(rooms: Situations) -> Callable[[str, tuple[Any, ...]], tuple[float, float] | None]:
-    """Place of a machine's goal: of the operator or target that it was called with, or the exit."""
+    """Return the position of a machine's goal: the operator or target of its call, or the exit."""
     targets: dict[str, int | None] = {name: number for number, name in enumerate(rooms.target_names)}
     targets |= {operator.name: targets[operator.target] for operator in rooms.operators} | {EXIT: None}
 
@@ -161,7 +161,7 @@ def _make_place_finder(rooms: Situations) -> Callable[[str, tuple[Any, ...]], tu
 
 
 def _make_program(rooms: Situations, planned: bool) -> Machine:
-    """Choose an operator that may be applied, or the open exit; touch its target until it has worked."""
+    """Choose a legal operator or the open exit, and touch its target until the effect holds."""
     primitives = range(len(rooms.instance.robot.actions))
     operators = {operator.name: operator for operator in rooms.operators}
     goals = {EXIT: rooms.get_goal(None)} | {name: rooms.get_goal(i) for i, name in enumerate(rooms.target_names)}
@@ -207,14 +207,13 @@ def _make_program(rooms: Situations, planned: bool) -> Machine:
 
 def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[str] | None = None
                    ) -> Mapping[str, frozenset[str]] | None:
-    """Find the facts that do not hold here and that every plan makes true, for these goal facts or the model's own.
+    """Find the landmarks: false facts that every plan to the goal makes true.
 
-    They are exact for the model's delete relaxation, in which a true fact stays true (Keyder, Richter and Helmert 2010,
-    by the propagation of Zhu and Givan 2003). A forbidden fact is a fact of its own, which deletes make true.
+    The result is exact for the delete relaxation of the model (Keyder, Richter and Helmert 2010, with the propagation
+    of Zhu and Givan 2003). A negative precondition is a fact of its own, which deletes make true.
 
     Returns:
-        Landmark -> the landmarks that every plan makes true before it; None if no plan leads to the goal, even without
-        deletes.
+        Landmark -> the landmarks that every plan makes true before it, or None if the relaxation has no plan.
     """
     before: dict[Literal, frozenset[Literal]] = {
         (fact, fact in facts): frozenset() for fact in model.propositions}
@@ -248,7 +247,7 @@ def _split(operator: Operator) -> list[Operator]:
 
 
 class OpenLandmarks:
-    """Landmarks that come next, and the target to press on the way to one; `names` are all, the exit last."""
+    """Return the next landmarks and the target to press for each; `names` are all landmarks, the exit last."""
 
     def __init__(self, rooms: Situations) -> None:
         self._model = rooms.model
@@ -258,14 +257,14 @@ class OpenLandmarks:
         self.list_open, self.find_goal = lru_cache(None)(self._list_open), lru_cache(None)(self._find_goal)
 
     def _list_open(self, facts: frozenset[str]) -> frozenset[str]:
-        """Landmarks with none before them that does not hold; the exit where the goal holds; none at a dead end."""
+        """Return the landmarks without open predecessors; the exit if the goal holds; empty at a dead end."""
         found = find_landmarks(self._model, facts)
         if found is None:
             return frozenset()
         return frozenset(fact for fact, earlier in found.items() if not earlier) or frozenset({EXIT})
 
     def _find_goal(self, facts: frozenset[str], landmark: str) -> Goal | None:
-        """Goal that comes first on the way to a landmark: a target to press, or the exit; None at a dead end."""
+        """Return the first goal on the path to a landmark: a target to press, or the exit; None at a dead end."""
         if landmark == EXIT:
             return self._rooms.get_goal(None)
         model = SymbolicModel(self._model.propositions, self._rooms.operators, frozenset({landmark}))
@@ -274,10 +273,11 @@ class OpenLandmarks:
 
 
 def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> GoalSet:
-    """Landmarks as the goals of two levels: the manager sees facts and touched targets, the worker pose and open door.
+    """Make a hierarchy of two levels whose goals are landmarks.
 
-    With a planned low level the planner walks to the target whose press begins the shortest way to the landmark; else
-    walking is learned over primitives. Not abstract, both levels see pose and facts.
+    The manager observes facts and touched targets, the worker pose and open exit; without `abstract` both observe pose
+    and facts. A planned low level moves to the target whose press begins the shortest path to the landmark; otherwise
+    the worker learns to move by primitives.
     """
     landmarks = OpenLandmarks(rooms)
     names = landmarks.names
@@ -310,16 +310,15 @@ def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> Goa
 
 MOST_LEVELS = 3
 KEPT = 50_000
-"""Answers of the planner that are kept: every manager asks before every primitive which orders can be obeyed."""
+"""Size of the cache of plans: every manager checks before every primitive which orders are feasible."""
 BORDER_MARGIN = 1e-3
-"""Distance that a region to be walked to keeps from its borders, as a share of its size: a border has one owner."""
+"""Margin of a target region to its borders, as a share of its size, because a border belongs to one region only."""
 
 
 def compute_depth(rooms: Situations, planned: bool) -> int:
-    """Finest level: its cells are at least two moves wide; with a planned low level they are quarters.
+    """Return the finest level: its cells are at least two moves wide, or quarters with a planned low level.
 
-    A planner crosses a quarter as well as a small cell, and every finer level is one more manager that must learn which
-    of its orders serve the one above.
+    A planner crosses a quarter as easily as a small cell, and each further level adds a manager to train.
     """
     if planned:
         return 1
@@ -329,10 +328,10 @@ def compute_depth(rooms: Situations, planned: bool) -> int:
 
 
 def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
-    """The floor, cut into four at every level, once for a planned low level; north is +y.
+    """Make regions of the floor, divided into four at every level, once for a planned low level; north is +y.
 
-    With a planned low level the planner obeys: it walks into the next cell, or to the nearest thing that a search in
-    this cell is for, provided that its way ends here.
+    With a planned low level the planner executes orders: it moves into the next cell, or for a search to the nearest
+    target in this cell.
     """
     half_width, half_depth = rooms.instance.reach_x, rooms.instance.reach_y
     landmarks, depth = OpenLandmarks(rooms), compute_depth(rooms, planned)

@@ -1,8 +1,8 @@
-"""Benchmarks: rungs by name, each with its sets of rooms, from a manifest of a few kB; and the proof that they are its.
+"""Benchmarks: rungs by name, generated from a manifest of a few kB and verified against it.
 
-No room of one set has the content or the layout of a room of another. The tasks of `test_task` occur in no other set.
-The share of `test` whose tasks occur in training is reported, since small rungs have few tasks. By a Merkle tree one
-hash, the root, commits to a whole set.
+Sets of a rung are disjoint in content and in layout. The tasks of `test_task` occur in no other set. The share of test
+rooms whose tasks occur in training is reported, because small rungs have few tasks. The root of a Merkle tree is the
+hash of a whole set.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def _join(left: str, right: str) -> str:
 
 
 def _climb(level: Sequence[str]) -> list[str]:
-    """Next level up; a last node without partner rises as it is."""
+    """Return the next level of the tree; a last node without a partner is copied."""
     pairs = [_join(left, right) for left, right in zip(level[::2], level[1::2], strict=False)]
     return pairs + list(level[-1:]) * (len(level) % 2)
 
 
 def compute_root(leaves: Sequence[str]) -> str:
-    """Root of leaves, hexadecimal SHA-256 digests in order; that of no leaves is the hash of nothing."""
+    """Compute the Merkle root of leaves, hexadecimal SHA-256 digests in order."""
     level = list(leaves)
     while len(level) > 1:
         level = _climb(level)
@@ -43,12 +43,12 @@ def compute_root(leaves: Sequence[str]) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class RungCertificate:
-    """Facts about a rung that were computed from its rooms."""
+    """Facts about a rung, computed from its rooms."""
 
     rung: str  # name of the rung
     rooms: Mapping[str, int]  # number of rooms of each set
     roots: Mapping[str, str]  # Merkle root of each set
-    task_overlap: float  # share of the test's rooms whose task some training room has
+    task_overlap: float  # share of test rooms whose task occurs in training
     tasks: Mapping[str, int]  # number of different tasks in each set
 
     def __str__(self) -> str:
@@ -58,7 +58,7 @@ class RungCertificate:
 
 
 def find_overlaps(sets: Mapping[str, Sequence[RoomKeys]]) -> list[str]:
-    """Rooms that two sets share, in words: by content or layout for any two, by task for `test_task` and another."""
+    """Describe the rooms that two sets share: by content or layout for any two, by task with `test_task`."""
     found = []
     for (first, those), (second, these) in itertools.combinations(sets.items(), 2):
         for key in ("content", "layout", "task"):
@@ -71,7 +71,7 @@ def find_overlaps(sets: Mapping[str, Sequence[RoomKeys]]) -> list[str]:
 
 
 def compute_task_overlap(train: Sequence[str], test: Sequence[str]) -> float:
-    """Share of test rooms, by the keys of their tasks, whose task some training room has."""
+    """Return the share of test rooms whose task, by its key, occurs in training."""
     known = set(train)
     return sum(task in known for task in test) / len(test)
 
@@ -102,11 +102,16 @@ __all__ = ["Benchmark", "list_benchmarks", "load_benchmark"]
 
 
 class Benchmark:
-    """Rungs by name: `bench["lattice"].train`. The source is the name or file that `load_benchmark` finds it by."""
+    """Rungs by name, such as `bench["lattice"].train`.
+
+    Args:
+        manifest: the benchmark's rungs.
+        source: name or file that `load_benchmark` takes.
+    """
 
     def __init__(self, manifest: Manifest, source: str = "") -> None:
         self.manifest, self.name, self.source = manifest, manifest.name, source or manifest.name
-        self._rungs = {record.name: Rung(manifest.name, record, self.source, manifest.hidden_round, manifest.layouts)
+        self._rungs = {record.name: Rung(manifest.name, record, self.source, manifest.layouts)
                        for record in manifest.rungs}
 
     def __repr__(self) -> str:
@@ -124,14 +129,14 @@ class Benchmark:
         return self._rungs[name]
 
     def verify(self, rungs: Iterable[str] = (), report: Callable[[str], None] = lambda line: None) -> None:
-        """Generate rungs anew and check roots and disjointness; about 10 ms a room, 100 ms in the largest.
+        """Generate the rooms of rungs and check roots and disjointness; takes 10 to 100 ms a room.
 
         Args:
             rungs: names; all by default.
-            report: takes one line a rung as it passes.
+            report: called with a line for each rung that passes.
 
         Raises:
-            VerificationError: something differs; the message says what.
+            VerificationError: a root, an overlap or a room differs.
         """
         for rung in [self[name] for name in rungs] or self:
             report(str(certify_rung(rung)))
@@ -141,7 +146,7 @@ def load_benchmark(name: str | Path) -> Benchmark:
     """Load a benchmark that comes with the package, or one from a manifest file.
 
     Raises:
-        UnknownNameError: there is none of that name.
+        UnknownNameError: no such benchmark.
         EscapeError: the file is damaged.
     """
     return Benchmark(load_manifest(name), str(name))

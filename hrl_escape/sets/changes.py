@@ -15,14 +15,14 @@ from hrl_escape.files import parse_json
 from hrl_escape.settings import Settings
 
 KIND_PATHS = ("puzzle.kind", "reward.kind")
-"""Paths of kinds: another kind has other fields, at its own defaults."""
+"""Paths of kinds, which change the fields of their section."""
 
 
 def change_config(config: RoomConfig, changes: Mapping[str, Any]) -> RoomConfig:
     """Return a configuration with some fields changed.
 
     Args:
-        config: what is changed.
+        config: the configuration.
         changes: values by dotted path, such as `{"room.width": 30}`; `robot.urdf` takes the path of a file.
 
     Raises:
@@ -36,13 +36,13 @@ def change_config(config: RoomConfig, changes: Mapping[str, Any]) -> RoomConfig:
         _check_path(config, path)
         change_field(fields, path, value)
         if path in ("puzzle", "reward", *KIND_PATHS):
-            config = RoomConfig.from_dict(fields)  # whose other paths are those of the kind
+            config = RoomConfig.from_dict(fields)  # the kind decides which other paths exist
     read_urdf(fields, Path())
     return RoomConfig.from_dict(fields)
 
 
 def parse_value(text: str, path: str) -> Any:
-    """Read the value of `name=value`: JSON, or plain text where it is no JSON.
+    """Read the value of `name=value`: JSON, or plain text if it is not JSON.
 
     Raises:
         FileReadError: JSON without bounds, such as NaN or very deep nesting.
@@ -56,9 +56,9 @@ def parse_value(text: str, path: str) -> Any:
 
 
 def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
-    """Set one field of a nested table; the configuration itself refuses unknown fields and sections.
+    """Set one field of a nested table.
 
-    Another kind of puzzle or reward begins with that kind's defaults.
+    A new kind of puzzle or reward starts from the defaults of that kind.
     """
     *sections, last = path.split(".")
     for depth, section in enumerate(sections):
@@ -73,7 +73,7 @@ def change_field(fields: dict[str, Any], path: str, value: Any) -> None:
 
 
 def list_paths(settings: Any, prefix: str = "") -> list[str]:
-    """Dotted paths of the fields of settings, and of the sections in them."""
+    """List the dotted paths of the fields of settings and of their sections."""
     paths: list[str] = []
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
@@ -84,7 +84,7 @@ def list_paths(settings: Any, prefix: str = "") -> list[str]:
 
 
 def _check_path(config: RoomConfig, path: str) -> None:
-    """Refuse a path that cannot be set; the message gives those of its section and those with its last name."""
+    """Raise for an unknown path; the message lists the paths of its section and of its last name."""
     known = [*list_paths(config), *KIND_PATHS]
     if path in known or not path:
         return

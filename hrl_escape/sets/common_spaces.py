@@ -1,8 +1,8 @@
 """Common spaces of environments with different objects, so that one agent acts in all of them.
 
-Rooms of two rungs have different numbers of buttons, so different rows of objects and different options. The common
-spaces hold the rows and the actions of both; what one environment lacks is absent there: an empty row, a masked action.
-A network of deep sets ignores absent rows, so it computes the same numbers as without them.
+Rooms of two rungs have different numbers of buttons, so they differ in rows of objects and in options. The common
+spaces hold the rows and actions of both. An object that an environment lacks is an empty row, and an action that it
+lacks is masked. A deep-set network ignores absent rows, so its outputs do not change.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hrl_escape.errors import ActionError, UnsupportedError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
 _Slot = tuple["str | None", int]
-"""An action: the object that it is about, and its number among the actions about that object."""
+"""An action by its object and its number among the actions on that object."""
 
 
 class CommonSpaces(NamedTuple):
@@ -28,15 +28,15 @@ class CommonSpaces(NamedTuple):
 
     rows: tuple[str, ...]  # names of the objects
     about: tuple[str | None, ...] | None
-    """For each action the name of its object, or None; None where actions are about nothing at all."""
+    """Name of each action's object, or None, or None if no action has an object."""
 
 
 def join_spaces(envs: Sequence[gymnasium.Env]) -> CommonSpaces:
-    """Find the rows and actions of all environments; those with most objects give the order.
+    """Join the rows and actions of all environments, in the order of the environment with most objects.
 
     Raises:
-        UnsupportedError: their observations are no rows of the same words, or their actions differ in more than the
-            objects that they are about.
+        UnsupportedError: their observations are not rows with the same columns, or their actions differ in more than
+            their objects.
     """
     observations = [_get_rows(env) for env in envs]
     if len({(space.words, space.context) for space in observations}) > 1:
@@ -50,8 +50,8 @@ def join_spaces(envs: Sequence[gymnasium.Env]) -> CommonSpaces:
     actions = [_list_places(env.action_space.about) for env in envs]  # type: ignore[attr-defined]
     unlike = [{place if place[0] not in rows else place[1] for place in places} for places in actions]
     if any(kind != unlike[0] for kind in unlike):
-        raise UnsupportedError("the environments have different primitives, or options of different kinds, so that "
-                               "what is learned about those of one says nothing of the other's")
+        raise UnsupportedError("the environments have different primitives or kinds of options, so an agent "
+                               "cannot act in both")
     return CommonSpaces(rows, tuple(name for name, _ in _merge(actions)))
 
 
@@ -77,7 +77,7 @@ def _merge(parts: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
 
 
 class CommonSpacesEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Shows an environment, one of those that were joined, in `CommonSpaces`; what it lacks is empty and masked."""
+    """Wrapper that gives one of the joined environments the common spaces; missing rows are empty, actions masked."""
 
     def __init__(self, env: gymnasium.Env, rows: Sequence[str], about: Sequence[str | None] | None) -> None:
         RecordConstructorArgs.__init__(self, rows=list(rows), about=None if about is None else list(about))
@@ -98,12 +98,16 @@ class CommonSpacesEnv(gymnasium.Wrapper, RecordConstructorArgs):
             self.action_space = PointingDiscrete(len(every), about)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; observation and action mask are those of the common spaces."""
+        """Begin an episode; observation and action mask are in the common spaces."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._show(observation), self._mask(info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Take an action of the common space; `ActionError` where this environment lacks it."""
+        """Take an action of the common space.
+
+        Raises:
+            ActionError: this environment lacks the action.
+        """
         if self._actions is not None:
             known = self._actions[action] if 0 <= int(action) < len(self._actions) else -1
             if known < 0:

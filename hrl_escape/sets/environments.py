@@ -21,12 +21,12 @@ from hrl_escape.sets.sequence import SequenceEnv
 RoomForm: TypeAlias = "str | RoomConfig | RoomInstance | RoomSets"
 """A text of the grammar in `sets.grammar`, a configuration, a room, or sets of rooms."""
 LARGEST_BATCH = 10_000
-"""Most rooms that a vector environment generates beforehand."""
+"""Largest number of rooms of a vector environment, which generates them in advance."""
 
 
 def make_env(room: RoomForm = "paper-two-button", options: bool | Mapping[str, Any] = False,
              changes: Mapping[str, Any] | None = None, **arguments: Any) -> gymnasium.Env:
-    """Make an environment over rooms that are given by name.
+    """Make an environment over rooms by name.
 
         env = make_env("clutter#3")                                   # one room
         env = make_env("clutter#*", observation="features")           # a fresh room each episode
@@ -35,7 +35,7 @@ def make_env(room: RoomForm = "paper-two-button", options: bool | Mapping[str, A
     Args:
         room: text such as `clutter#3`, see `sets.grammar`; or a `RoomConfig`, `RoomInstance` or `InstanceSet`.
         options: wrap it in an `OptionsEnv`; a table gives its arguments.
-        changes: fields of the configuration that are changed, by dotted path, such as `{"room.width": 30}`.
+        changes: changes to the configuration by dotted path, such as `{"room.width": 30}`.
         arguments: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
 
     Raises:
@@ -56,7 +56,7 @@ def make_env(room: RoomForm = "paper-two-button", options: bool | Mapping[str, A
 
 def make_vec(room: RoomForm = "paper-two-button", num_envs: int = 1, options: bool | Mapping[str, Any] = False,
              changes: Mapping[str, Any] | None = None, **arguments: Any) -> VectorEnv:
-    """Make a Gymnasium vector environment over rooms that are given by name; every episode of a set draws a room.
+    """Make a Gymnasium vector environment over rooms by name; every episode of a set draws a room.
 
     Args:
         room: as in `make_env`, without sequences and `#*`.
@@ -72,7 +72,7 @@ def make_vec(room: RoomForm = "paper-two-button", num_envs: int = 1, options: bo
 
 
 def list_batch_arguments(rooms: NamedRooms) -> dict[str, Any]:
-    """Arguments by which a batch is made over rooms: one room, or one that every episode draws.
+    """Return the arguments of a batch over rooms: one room, or a set from which every episode draws.
 
     Raises:
         ConfigError: a fresh room each episode, a sequence, or more than `LARGEST_BATCH` rooms.
@@ -124,7 +124,7 @@ def make_ladder_env(benchmark: str = "ladder-1", rung: str = "pair", set: str = 
         benchmark: one that comes with the package, or a manifest file.
         rung: name of the rung.
         set: `train`, `valid`, `test` or `test_task`.
-        slice: part of the set, what stands after `#` in a room's text: `0..64` or `3`; empty for all rooms.
+        slice: part of the set, as after `#` in a room's text: `0..64` or `3`; empty for all rooms.
         options: wrap it in an `OptionsEnv`; a table gives its arguments.
         arguments: all other arguments of `EscapeRoomEnv`, such as `observation="objects"`.
 

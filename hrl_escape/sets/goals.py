@@ -1,8 +1,8 @@
-"""Goals: a room as a task of reaching given patterns of lit targets, or the exit, as goal-conditioned learners read it.
+"""Goal-conditioned rooms: reach a given pattern of targets that are on, or the exit.
 
-The Dict view of Gymnasium-Robotics' `GoalEnv` (Plappert et al. 2018), which hindsight experience replay (Andrychowicz
-et al. 2017) relabels: `observation`, `achieved_goal`, `desired_goal`, and a reward and a termination that are functions
-of the two goals.
+Observations have the form of Gymnasium-Robotics' `GoalEnv` (Plappert et al. 2018): `observation`, `achieved_goal` and
+`desired_goal`. Reward and termination are functions of the two goals, as hindsight experience replay requires
+(Andrychowicz et al. 2017).
 """
 
 from __future__ import annotations
@@ -23,38 +23,37 @@ _TRIES = 100
 
 
 class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Asks for a pattern of lit targets that the episode draws, or for the exit.
+    """Wrapper that draws a goal for each episode: a pattern of targets that are on, or the exit.
 
-    A pattern is what is lit after 1 to `operators` operators of the room's symbolic model, drawn at random; one that
-    differs from what is lit at the start. The exit is one goal more, whatever is lit there. The episode ends when its
-    goal is achieved, as it ends at the horizon and wherever the room ends it. The reward of a step is 0 if the goal is
-    achieved after it, else -1; `info["is_success"]` says which. `info["room_reward"]` and `info["room_success"]` hold
-    the room's own reward and escape. In a decision of several primitives that reward is the last one's, and the others
-    have 0; see `last_rewards`.
+    A pattern is the state of the targets after 1 to `operators` random operators of the room's symbolic model; it
+    differs from the state at the start. The exit is one more goal. An episode also ends when its goal is achieved. The
+    reward of a step is 0 if the goal is achieved after it, else -1, and `info["is_success"]` holds the same.
+    `info["room_reward"]` and `info["room_success"]` hold the room's own reward and success. In a decision of several
+    primitives the last primitive has the goal's reward and the others have 0; see `last_rewards`.
 
-    Observations are a Dict of the observation, and of `achieved_goal` and `desired_goal`, float32 (targets + 1,): 1 for
-    each target that is lit, or is to be, and 0; or, at the exit, 0 for all targets and 1.
+    Observations are a Dict of `observation`, `achieved_goal` and `desired_goal`. Goals are float32 (targets + 1,): 1
+    for each target that is on and 0 at the end; at the exit 0 for all targets and 1 at the end.
 
     Args:
         env: a room or a set of rooms, or an `OptionsEnv` over one.
-        operators: most operators that a pattern is away from the start.
-        escapes: share of the episodes that ask for the exit, from 0 to 1; with 1 the goal is the room's own.
+        operators: largest number of operators from the start to a pattern.
+        exits: share of the episodes whose goal is the exit, from 0 to 1; with 1 the goal is the room's own.
 
     Attributes:
         last_rewards: rewards of the primitives of the latest step, in order.
 
     Raises:
-        ConfigError: no operators at all, or an impossible share.
+        ConfigError: `operators` is below 1, or `exits` not a share.
     """
 
-    def __init__(self, env: gymnasium.Env, operators: int = 4, escapes: float = 0.0) -> None:
+    def __init__(self, env: gymnasium.Env, operators: int = 4, exits: float = 0.0) -> None:
         if isinstance(operators, bool) or not isinstance(operators, int) or operators < 1:
             raise ConfigError("operators", operators, "a whole number of at least 1")
-        if isinstance(escapes, bool) or not isinstance(escapes, (int, float)) or not 0 <= escapes <= 1:
-            raise ConfigError("escapes", escapes, "a number from 0 to 1")
-        RecordConstructorArgs.__init__(self, operators=operators, escapes=escapes)
+        if isinstance(exits, bool) or not isinstance(exits, (int, float)) or not 0 <= exits <= 1:
+            raise ConfigError("exits", exits, "a number from 0 to 1")
+        RecordConstructorArgs.__init__(self, operators=operators, exits=exits)
         super().__init__(env)
-        self._operators, self._escapes = operators, escapes
+        self._operators, self._exits = operators, exits
         self._desired = self._make_goal((), False)
         self.last_rewards: tuple[float, ...] = ()
         goal = spaces.Box(0.0, 1.0, self._desired.shape, np.float32)
@@ -71,11 +70,11 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Begin an episode with a new goal.
 
         Raises:
-            UnsupportedError: the goal is a pattern, and nothing that can be done in this room changes what is lit.
+            UnsupportedError: the goal is a pattern, and no operator of this room changes which targets are on.
         """
         observation, info = self.env.reset(seed=seed, options=options)
         rng = self.env.unwrapped.np_random
-        is_exit = self._escapes == 1 or (self._escapes > 0 and rng.random() < self._escapes)
+        is_exit = self._exits == 1 or (self._exits > 0 and rng.random() < self._exits)
         self._desired = self._make_goal((), True) if is_exit else self._draw_pattern()
         return self._show(observation, False), {**info, "room_success": False, "is_success": False}
 
@@ -97,7 +96,7 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
                                "are lit, so there are no goals to draw")
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
-        """Act; achieving the goal ends the episode."""
+        """Take an action; achieving the goal ends the episode."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         seen = self._show(observation, terminated and info["is_success"])
         earned = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
@@ -114,16 +113,16 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     def compute_reward(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any
                        ) -> NDArray[np.float64]:
-        """Reward of a step after which goals (..., targets + 1) are achieved and desired: 0 if equal, else -1."""
+        """Compute the reward of goals (..., targets + 1): 0 if achieved and desired goal are equal, else -1."""
         return self.compute_terminated(achieved_goal, desired_goal, info).astype(np.float64) - 1
 
     def compute_terminated(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any
                            ) -> NDArray[np.bool_]:
-        """Termination of such a step: true if they are equal."""
+        """Compute the termination of goals: true if achieved and desired goal are equal."""
         return np.all(np.asarray(achieved_goal) == np.asarray(desired_goal), axis=-1)
 
     def _make_goal(self, lit: tuple[bool, ...], is_exit: bool) -> NDArray[np.float32]:
-        """One number for each target of the frame, some of which this room may lack, and one for the exit."""
+        """Goal vector: a number for each target of the frame, 0 if the room lacks it, and one for the exit."""
         goal = np.zeros(len(self._room.frame.target_names) + 1, dtype=np.float32)
         if is_exit:
             goal[-1] = 1

@@ -13,7 +13,7 @@
 | `my-room.json`, `my-set.json`, `my-config.toml` | a file: one room, a set, or a configuration as TOML or JSON |
 | `custom`, `custom#3` | the defaults of `RoomConfig`, to be changed by `--set` |
 
-A range `START..STOP` holds STOP - START rooms: as in Python, STOP itself is left out. Ranges are lazy and hold at most
+A range `START..STOP` holds STOP - START rooms; as in Python, STOP is excluded. Ranges are lazy and hold at most
 `LARGEST_RANGE` rooms. A configuration in a file takes `#` as a preset does.
 """
 
@@ -38,15 +38,15 @@ from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.sets.room_sequence import RoomSequence, RoomSets, repeat_set
 
 LARGEST_RANGE = 1_000_000
-"""Most rooms of a range `START..STOP`."""
+"""Largest number of rooms in a range `START..STOP`."""
 LONGEST_SEQUENCE = 1_000
-"""Most rooms of a sequence `SET x COUNT`."""
+"""Largest number of rooms in a sequence `SET x COUNT`."""
 LONGEST_TEXT = 10_000
-"""Most characters of a room's text."""
+"""Largest number of characters in a room's text."""
 THEN = " + "
-"""Stands between the sets of a sequence."""
+"""Separator between the sets of a sequence."""
 FRESH: Literal["*"] = "*"
-"""Stands after `#` for a fresh instance each episode."""
+"""Text after `#` for a fresh instance each episode."""
 VALID = ("clutter, clutter#3, clutter#0..16, 'clutter#*', 'larg-2019(size=4)', ladder-1/chain/test#5, "
          "ladder-1/chain/train, my-room.json or my-config.toml")
 """Examples of valid texts, for messages."""
@@ -76,7 +76,7 @@ class RoomName:
     Attributes:
         base: preset, `BENCHMARK/RUNG/SET` or path of a file.
         arguments: of the preset.
-        chosen: numbers of the rooms after `#`; `FRESH`; None without `#`.
+        chosen: numbers of the rooms after `#`; `FRESH`, or None without `#`.
         is_one: the text chooses one room by its number.
     """
 
@@ -120,13 +120,13 @@ class RoomName:
 
 
 def renew_brackets(found: re.Match[str]) -> str:
-    """Form of today for an index or a slice in brackets."""
+    """Present form of an index or slice in brackets."""
     start = found["start"] or "0"
     return f"{found['name']}#{start}..{found['stop'] or 'STOP'}" if found["colon"] else f"{found['name']}#{start}"
 
 
 def _parse_choice(text: str, base: str, which: str) -> tuple[range | Literal["*"], bool]:
-    """Numbers after `#`, and whether they are one."""
+    """Return the numbers after `#`, and whether they choose one room."""
     if which == FRESH:
         return FRESH, False
     low, dots, high = which.partition("..")
@@ -157,7 +157,7 @@ def _parse_arguments(text: str, inside: str) -> dict[str, Any]:
 
 
 def quote_room(text: str) -> str:
-    """Quote a room's text for a shell where that is needed: `#` within a word begins no comment."""
+    """Quote a room's text for a shell if needed; `#` within a word does not begin a comment."""
     return text if re.fullmatch(r"[\w./#:@%+=,-]+", text) else "'" + text.replace("'", "'\"'\"'") + "'"
 
 
@@ -165,7 +165,7 @@ def quote_room(text: str) -> str:
 
 
 def find_rooms(text: str, changes: Mapping[str, Any] | None = None) -> NamedRooms:
-    """Find the rooms of a text, in any form of the grammar; sets and ranges generate none yet.
+    """Find the rooms of a text, in any form of the grammar; rooms of sets and ranges are generated on demand.
 
     Args:
         text: such as `clutter#3`, `ladder-1/chain/train` or `my-room.json`.
@@ -208,7 +208,7 @@ def find_set(text: str, changes: Mapping[str, Any] | None = None) -> InstanceSet
 
 
 def find_config(room: str | RoomConfig, changes: Mapping[str, Any] | None = None) -> RoomConfig | None:
-    """Find the configuration that rooms of a text are sampled from; None for the file of a finished room.
+    """Find the configuration that rooms of a text are sampled from, or None for the file of a finished room.
 
     Raises:
         EscapeError: as `find_rooms` does.
@@ -221,13 +221,13 @@ def find_config(room: str | RoomConfig, changes: Mapping[str, Any] | None = None
 
 
 def make_room(room: str | RoomConfig | RoomInstance, changes: Mapping[str, Any] | None = None) -> RoomInstance:
-    """Make one room: that of a text, or instance 0 of a configuration.
+    """Make one room: the room of a text, or instance 0 of a configuration.
 
         room = make_room("clutter#3")
         plan = RoomPlanner(room).solve()
 
     Args:
-        room: text such as `clutter#3`; configuration; or a room, which is returned as it is.
+        room: text such as `clutter#3`, configuration or room; a room is returned unchanged.
         changes: fields of the configuration that are changed, by dotted path.
 
     Raises:
@@ -259,7 +259,7 @@ def _get_first(text: str) -> int:
 
 
 def _split(text: str) -> RoomName | tuple[list[RoomName], int]:
-    """The name, or the names of a sequence and how often it repeats them."""
+    """Split a text into the names of a sequence and the number of repeats."""
     if isinstance(text, str) and len(text) <= LONGEST_TEXT:
         if repeated := _REPEATED.fullmatch(text):
             count = parse_whole(repeated["count"])
@@ -284,7 +284,7 @@ def _require_set(text: str, found: InstanceSet | RoomInstance | FreshRooms) -> I
     if isinstance(found, FreshRooms):
         raise ConfigError("room", text, f"a set of rooms that stay the same is needed here: write "
                           f"{found.name.rpartition('#')[0]}#0..16")
-    raise ConfigError("room", text, "a set of rooms is needed here, and this file holds one room: take "
+    raise ConfigError("room", text, "a set of rooms is needed here, and this file holds one room: use "
                       "ladder-1/chain/train, clutter#0..16 or the file of a set")
 
 
@@ -293,7 +293,7 @@ def _find(name: RoomName, changes: Mapping[str, Any]) -> InstanceSet | RoomInsta
     found = _open_file(name) if name.is_file else _find_in_set(name) if name.is_in_set else _find_preset(name)
     if isinstance(found, RoomInstance):
         if changes or name.chosen is not None:
-            raise UnsupportedError(f"{name.base} holds one finished room, so that # and --set do not apply: take its "
+            raise UnsupportedError(f"{name.base} holds one finished room, so # and --set do not apply: use its "
                                    "configuration, or leave them out")
         return found
     if isinstance(found, InstanceSet):
@@ -308,7 +308,7 @@ def _find(name: RoomName, changes: Mapping[str, Any]) -> InstanceSet | RoomInsta
 
 
 def _choose(name: RoomName, rooms: InstanceSet) -> InstanceSet:
-    """Rooms that a name chooses of a set."""
+    """Return the rooms of a set that a name chooses."""
     if name.chosen is None:
         return rooms
     if name.chosen == FRESH:
@@ -324,7 +324,7 @@ def _choose(name: RoomName, rooms: InstanceSet) -> InstanceSet:
 
 
 def _format(name: RoomName) -> str:
-    """Text of a name, with its arguments and numbers."""
+    """Format a name with its arguments and numbers."""
     arguments = ", ".join(f"{key}={value}" for key, value in name.arguments.items())
     text = f"{name.base}({arguments})" if arguments else name.base
     if name.chosen is None:
@@ -336,8 +336,8 @@ def _format(name: RoomName) -> str:
 
 def _refuse_arguments(name: RoomName) -> None:
     if name.arguments:
-        raise ConfigError("room", _format(name), "arguments in parentheses are those of presets; change fields by "
-                          "--set field=value")
+        raise ConfigError("room", _format(name), "only presets take arguments in parentheses; change fields by --set "
+                          "field=value")
 
 
 def _find_preset(name: RoomName) -> RoomConfig:
@@ -377,7 +377,7 @@ def _open_file(name: RoomName) -> RoomConfig | InstanceSet | RoomInstance:
         if isinstance(content, dict) and ("schema" in content or "id" in content):
             return RoomInstance.load(path)
     if not isinstance(content, dict):
-        raise InstanceFileError(f"{path}: this is no room instance, no set of rooms and no configuration")
+        raise InstanceFileError(f"{path}: this is neither a room, a set of rooms nor a configuration")
     table = {"name": path.stem} | content
     read_urdf(table, path.parent)
     return RoomConfig.from_dict(table)

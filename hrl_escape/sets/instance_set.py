@@ -34,12 +34,12 @@ CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_
 
 
 def derive_task(config: RoomConfig, seed: int) -> str:
-    """Key of the task of one room, which is not generated for it."""
+    """Compute the key of a room's task without generating the room."""
     return compute_task_key(sample_puzzle(config, seed)[1])
 
 
 class LazySeeds(Sequence[int]):
-    """So many instance seeds, drawn from an iterator as they are needed."""
+    """A given number of instance seeds, drawn from an iterator on demand."""
 
     def __init__(self, seeds: Iterator[int], count: int) -> None:
         self._seeds, self._count = seeds, count
@@ -64,7 +64,7 @@ class LazySeeds(Sequence[int]):
 
 
 class InstanceSet(Pictured, Sequence[RoomInstance]):
-    """Rooms of one room configuration, generated on demand and kept.
+    """Rooms of one room configuration, generated on demand and cached.
 
         rooms = load_benchmark("ladder-1")["lattice"].train
         few, rest = rooms.split(0.1, key=0)
@@ -74,7 +74,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         name: such as `ladder-1/lattice/train`.
         config: the room configuration.
         seeds: instance seeds, in order.
-        place: arguments by which `hrl_escape/Ladder-v1` finds the set, so that its environments have a `spec`.
+        place: arguments of `hrl_escape/Ladder-v1` for this set, which give its environments a `spec`.
     """
 
     _picture = "hrl_escape.env.pictures.maps:make_strip"
@@ -116,16 +116,16 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
 
     @property
     def tasks(self) -> tuple[str, ...]:
-        """Keys of the rooms' tasks, of which equal ones are one task; generates no room."""
+        """Keys of the rooms' tasks; equal keys are the same task. Generates no room."""
         return tuple(derive_task(self.config, seed) for seed in self.seeds)
 
     # --- parts -------------------------------------------------------------------------
 
     def split(self, fraction: float, key: int = 0) -> tuple[InstanceSet, InstanceSet]:
-        """Split the set in two, at random but in the same way everywhere.
+        """Split the set in two at random, reproducibly.
 
-        Which rooms go first depends on key and seeds alone: with the same key, the first part of a smaller fraction is
-        within that of a larger one.
+        The order of rooms depends only on key and seeds: with the same key, the first part of a smaller fraction is a
+        subset of the first part of a larger one.
 
         Args:
             fraction: share of the first part, from 0 to 1.
@@ -140,7 +140,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
                 self._choose(f"{self.name}.split({fraction:g}, {key})[1]", sorted(order[cut:])))
 
     def filter(self, keep: Callable[[RoomInstance], bool]) -> InstanceSet:
-        """Rooms for which a function says yes; generates all."""
+        """Return the rooms for which `keep` is true; generates all rooms."""
         return self._choose(f"{self.name}.filter", [index for index, room in enumerate(self) if keep(room)])
 
     def _choose(self, name: str, indices: Iterable[int]) -> InstanceSet:
@@ -154,15 +154,15 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         """Make an environment whose resets draw a room of the set from the episode's stream.
 
         `reset(options={"instance_index": i})` chooses room i. Environments of a rung's set, or of a slice of one, have
-        a `spec` that makes them again; see `make_ladder_env`.
+        a `spec`; see `make_ladder_env`.
 
         Args:
             options: wrap it in an `OptionsEnv`; a table gives its arguments.
             arguments: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
 
         Raises:
-            UnknownNameError: `EscapeRoomEnv` or `OptionsEnv` takes no such argument; those of the latter belong into
-                `options`.
+            UnknownNameError: `EscapeRoomEnv` or `OptionsEnv` takes no such argument. Arguments of `OptionsEnv` go
+                into `options`.
         """
         check_names("EscapeRoomEnv (OptionsEnv's go into options={...})", arguments, EscapeRoomEnv, CHOOSING_ROOMS)
         env = InstanceSetEnv(self, **arguments)
@@ -172,9 +172,12 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
 
     def make_vec(self, num_envs: int, options: bool | Mapping[str, Any] = False, **arguments: Any
                  ) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
-        """Make a batch of rooms over one table of all instances; every episode draws one.
+        """Make a vector environment over all rooms of the set; every episode draws one.
 
-        `options` makes a `BatchedOptionsEnv`; a table gives its arguments. Others are the batch's: `device="cuda"`.
+        Args:
+            num_envs: number of environments.
+            options: make a `BatchedOptionsEnv`; a table gives its arguments.
+            arguments: all other arguments of the batch, such as `device="cuda"`.
         """
         arguments = {"instance": list(self), "resample_instance": True} | arguments
         if isinstance(options, Mapping) or options:
@@ -188,7 +191,7 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
     # --- JSON --------------------------------------------------------------------------
 
     def describe(self) -> dict[str, Any]:
-        """Return the set as JSON values, `{"id": hash, "content": ...}`; `from_description` makes it again."""
+        """Return the set as JSON values, `{"id": hash, "content": ...}`, for `from_description`."""
         content = {"name": self.name, "config": self.config.to_dict(), "seeds": list(self.seeds)}
         text = json.dumps({**content, "name": ""}, sort_keys=True)
         return {"id": hashlib.sha256(text.encode()).hexdigest()[:16], "content": content}
@@ -213,11 +216,11 @@ class InstanceSet(Pictured, Sequence[RoomInstance]):
         try:
             return cls.from_description(content)
         except (KeyError, TypeError, ValueError) as error:
-            raise FileReadError(f"{path}: this is no set of rooms ({describe_damage(error)})") from error
+            raise FileReadError(f"{path}: this is not a set of rooms ({describe_damage(error)})") from error
 
 
 def _name_slice(name: str, chosen: range) -> str:
-    """Name of rooms in a row, as the grammar of `sets.grammar` has it; a part of a part is named after the whole."""
+    """Name a range of rooms by the grammar of `sets.grammar`; a part of a part is named after the whole set."""
     if chosen.step != 1:
         return f"{name}[{chosen.start}:{chosen.stop}:{chosen.step}]"
     part = re.fullmatch(r"(.+)#(\d+)(?:\.\.\d+)?", name, re.DOTALL)
@@ -226,7 +229,7 @@ def _name_slice(name: str, chosen: range) -> str:
 
 
 def check_names(words: str, given: Iterable[str], maker: Callable[..., Any], left_out: tuple[str, ...]) -> None:
-    """Refuse an argument that a maker does not take.
+    """Raise for an argument that a maker does not take.
 
     Raises:
         UnknownNameError: the message names the closest.
@@ -238,7 +241,7 @@ def check_names(words: str, given: Iterable[str], maker: Callable[..., Any], lef
 
 
 def add_options(env: gymnasium.Env, options: bool | Mapping[str, Any]) -> gymnasium.Env:
-    """Wrap an environment in an `OptionsEnv` if that is asked for; a table gives its arguments.
+    """Wrap an environment in an `OptionsEnv` if `options` is true or a table of its arguments.
 
     Raises:
         UnknownNameError: `OptionsEnv` takes no such argument.
@@ -253,10 +256,14 @@ def add_options(env: gymnasium.Env, options: bool | Mapping[str, Any]) -> gymnas
 
 
 class InstanceSetEnv(EscapeRoomEnv):
-    """`EscapeRoomEnv` whose every reset draws a room of a set, or of its description, from the episode's stream.
+    """`EscapeRoomEnv` that draws a room of a set at every reset.
 
-    `info["instance"]` is a number, from 0 in the order in which rooms first appear: it tells rooms apart, and names
-    none of a published set, whose graph could be looked up by its content hash.
+    `info["instance"]` numbers rooms from 0 in the order of their first appearance. It distinguishes rooms without
+    naming them, because a content hash would reveal the graph of a published room.
+
+    Args:
+        rooms: the set, or its description.
+        arguments: of `EscapeRoomEnv`.
     """
 
     def __init__(self, rooms: InstanceSet | Mapping[str, Any], **arguments: Any) -> None:
@@ -266,7 +273,7 @@ class InstanceSetEnv(EscapeRoomEnv):
         EzPickle.__init__(self, self.rooms, **arguments)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Arguments, running episode, and the numbers that rooms have been given."""
+        """Return arguments, running episode and the numbers of rooms."""
         state = super().__getstate__()
         return state | {"episode": state["episode"] | {"_numbers": dict(self._numbers)}}
 

@@ -1,16 +1,16 @@
-"""The three keys of a room: its content, its layout, and its task up to the numbers of buttons.
+"""Keys of a room: content, layout, and task up to the numbers of buttons.
 
-Two sets of rooms are disjoint in content if no room of one is in the other, in layout if none looks alike, and in task
-if none asks for the same puzzle.
+Two sets of rooms are disjoint in content if they share no room, in layout if no two rooms are alike, and in task if no
+two rooms have the same puzzle.
 
-Layouts are sets of named points: corners of solids and of the exit, ends of panels, and where episodes begin, whatever
-the heading there. Two are alike if one of the eight symmetries of the square about the room's middle pairs all points
-of the same name within `ALIKE_WITHIN`. Unlike hashes of rounded places they have no borders at which a hair makes a
-difference. Benchmarks say in their manifest which of the two they were frozen with (`layouts`).
+A layout is a set of named points: corners of solids and of the exit, ends of panels, and start positions without
+headings. Two layouts are alike if one of the eight symmetries of the square about the room's centre pairs all points of
+the same name within `ALIKE_WITHIN`. Version 1 of layouts compares hashes of rounded positions instead, which differ
+for positions on either side of a rounding border. The manifest of a benchmark holds its version (`layouts`).
 
-Tasks are compared by the canonical form of a small coloured graph: colour refinement tells nodes apart by their
-neighbours; where it cannot, each node of a cell is singled out in turn and the smallest form wins (McKay 1981,
-"Practical graph isomorphism"). Automorphisms found on the way spare branches that would repeat others.
+Tasks are compared by the canonical form of a small coloured graph. Colour refinement distinguishes nodes by their
+neighbours. If a cell of equal nodes remains, each of them is individualised in turn, and the smallest form is the
+canonical one (McKay 1981, "Practical graph isomorphism"). Automorphisms prune equivalent branches.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 
 ALIKE_WITHIN = 0.5
-"""Distance within which a point is in the same place, m."""
+"""Largest distance between matching points of alike layouts, m."""
 LATEST_LAYOUTS = 2
-"""Version of layouts that new benchmarks are frozen with; 1 are hashes of rounded places."""
+"""Version of layouts of new benchmarks; version 1 are hashes of rounded positions."""
 
 LayoutKey: TypeAlias = "str | tuple[tuple[str, float, float], ...]"
-"""Hash of rounded places (version 1), or points in order of their names (version 2)."""
+"""Hash of rounded positions (version 1), or points sorted by name (version 2)."""
 
 
 def list_points(room: RoomInstance) -> tuple[tuple[str, float, float], ...]:
-    """Named points (name, x, y) of a room, m, in its frame, whose origin is its middle; sorted."""
+    """Return the named points (name, x, y) of a room, m, sorted; the origin is the room's centre."""
     points: list[tuple[str, float, float]] = []
 
     def add(name: str, x: float, y: float, yaw: float, *ends: tuple[float, float]) -> None:
@@ -64,7 +64,7 @@ def list_points(room: RoomInstance) -> tuple[tuple[str, float, float], ...]:
 
 
 class SeenLayouts:
-    """Layouts that were seen, in order, among which one that looks alike is found."""
+    """Index of layouts that finds the first alike layout."""
 
     def __init__(self, layouts: Iterable[LayoutKey] = ()) -> None:
         self._count = 0
@@ -75,7 +75,7 @@ class SeenLayouts:
         self.update(layouts)
 
     def update(self, layouts: Iterable[LayoutKey]) -> None:
-        """Add layouts; their numbers go on from those before."""
+        """Add layouts, numbered in order."""
         for layout in layouts:
             if isinstance(layout, str):
                 self._hashes.setdefault(layout, self._count)
@@ -89,7 +89,7 @@ class SeenLayouts:
         return self.find(layout) is not None
 
     def find(self, layout: LayoutKey) -> int | None:
-        """Number of the first layout seen that looks like this one; None where there is none."""
+        """Return the number of the first alike layout, or None."""
         if isinstance(layout, str):
             return self._hashes.get(layout)
         names, places = _split(layout)
@@ -99,7 +99,7 @@ class SeenLayouts:
         near, parts, images = set(), _list_parts(names), list(_list_images(places))
         if names not in self._stacks:
             self._stacks[names] = np.array([each for _, _, each in group])
-        for image in images:  # pairs sorted coordinate by coordinate are nearest in each, so that few are left
+        for image in images:  # a cheap necessary condition: sorted coordinates of alike layouts are near each other
             gaps = np.abs(self._stacks[names] - _sort_parts(image, parts))
             near.update(np.flatnonzero((gaps <= ALIKE_WITHIN).all(axis=(1, 2))).tolist())
         for number in sorted(near):
@@ -142,7 +142,7 @@ Form = tuple[tuple[int, ...], tuple[tuple[int, int], ...]]
 
 
 def compute_canonical_form(colours: Sequence[int], edges: Iterable[tuple[int, int]]) -> Form:
-    """Colours in canonical order, and sorted (from, to) edges of a directed graph under its canonical numbering."""
+    """Compute the canonical form of a coloured directed graph: colours in order, and sorted (from, to) edges."""
     return _Search(colours, tuple(edges)).find()
 
 
@@ -197,7 +197,7 @@ class _Search:
             self._automorphisms.append([at[number] for number in numbers])
 
     def _is_image_of(self, node: int, tried: list[int], fixed: tuple[int, ...]) -> bool:
-        """Return whether automorphisms that keep `fixed` carry the node to one already tried."""
+        """Return whether an automorphism that fixes `fixed` maps the node to a tried one."""
         maps = [each for each in self._automorphisms if all(each[i] == i for i in fixed)]
         orbit, new = {node}, [node]
         while new:
@@ -219,29 +219,29 @@ def _rank(signs: Sequence[Any]) -> list[int]:
 # --- keys --------------------------------------------------------------------------------
 
 GRAIN = 0.5
-"""Places closer than about this, m, are alike."""
+"""Grid of positions in layouts of version 1, m."""
 TURN = math.radians(30)
-"""Directions closer than about this are alike."""
+"""Grid of directions in layouts of version 1."""
 
 
 class RoomKeys(NamedTuple):
     """Keys of one room; hashes are 64 hexadecimal digits of SHA-256."""
 
-    content: str  # everything that can be observed or computed in the room
+    content: str  # hash of everything in the room
     layout: LayoutKey
-    """Places of all things; of version 1 a hash of places rounded to 0.5 m and directions to 30 degrees, of version 2
-    points that are compared with a margin, see `SeenLayouts`."""
-    task: str  # the puzzle up to the numbers of its buttons
+    """Version 1: hash of positions rounded to 0.5 m and directions rounded to 30 degrees. Version 2: points, see
+    `SeenLayouts`."""
+    task: str  # hash of the puzzle up to the numbers of its buttons
 
 
 def compute_keys(room: RoomInstance, layouts: int = 1) -> RoomKeys:
-    """Compute the keys of a room, its layout in this version."""
+    """Compute the keys of a room, with the layout in the given version."""
     layout = compute_layout_key(room) if layouts == 1 else list_points(room)
     return RoomKeys(room.digest, layout, compute_task_key(room.puzzle))
 
 
 def compute_layout_key(room: RoomInstance) -> str:
-    """Hash of what stands where, without names and in no order."""
+    """Hash the rounded positions of all objects, without names and order."""
     turn = math.radians(room.robot.turn_step_deg)
     things = [(solid.role, *_round(solid.x, solid.y, solid.yaw)) for solid in room.solids]
     things += [("target", *_round(target.x, target.y, target.yaw)) for target in room.targets]
@@ -252,9 +252,9 @@ def compute_layout_key(room: RoomInstance) -> str:
 
 
 def compute_task_key(puzzle: Puzzle) -> str:
-    """Hash of a puzzle's rules; button puzzles that differ in the numbers of their buttons alone have the same."""
+    """Hash the rules of a puzzle, up to the numbers of its buttons."""
     rules = puzzle.to_dict()
-    rules.pop("marks", None)  # they change no rule
+    rules.pop("marks", None)  # cues do not change the rules
     if isinstance(puzzle, ButtonsPuzzle):
         colours = [int(button == puzzle.goal) for button in range(puzzle.count)] + [2] * len(puzzle.locks)
         colours += [3] * len(puzzle.doors)

@@ -1,7 +1,7 @@
-"""Manifests: a few kB from which a benchmark's sets of rooms are generated and by which they are verified.
+"""Manifests: files of a few kB from which the sets of a benchmark are generated and verified.
 
-A manifest holds room configurations, counts, the indices skipped, and one Merkle root a set. Rooms are not stored: the
-seed of room i of a set follows from the names of benchmark, rung and role and from i.
+A manifest holds room configurations, counts, skipped indices and a Merkle root for each set. Rooms are not stored: the
+seed of room i of a set is a hash of the names of benchmark, rung and role and of i.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hrl_escape.sets.keys import LATEST_LAYOUTS
 from hrl_escape.settings import Range, Settings
 
 ROLES = ("train", "valid", "test", "test_task")
-"""Sets of a rung: to learn on, to choose by, unseen layouts, and unseen layouts with unseen tasks."""
+"""Sets of a rung: training, validation, test with unseen layouts, test with unseen layouts and tasks."""
 
 _DATA = Path(str(files("hrl_escape.sets") / "data"))
 
@@ -34,9 +34,9 @@ class SetRecord(Settings):
     root: str = ""
     """Merkle root over the rooms' content hashes, in order."""
     skipped: tuple[int, ...] = ()
-    """Indices whose rooms look like one of an earlier set, or cannot be generated."""
+    """Indices whose rooms are alike to a room of an earlier set, or cannot be generated."""
     seeds: tuple[int, ...] = ()
-    """Explicit instance seeds, in place of those that follow from the names (a revealed hidden test)."""
+    """Explicit instance seeds; empty for the seeds that follow from the names."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,24 +47,24 @@ class RungRecord(Settings):
     name: str = "rung"
     """Name of the rung."""
     isolates: str = ""
-    """Ability that the rung asks for beyond the one before."""
+    """Ability that the rung requires beyond the previous one."""
     config: RoomConfig = RoomConfig()
     """Room configuration of its rooms."""
     train: SetRecord = SetRecord(count=256)
-    """Rooms to learn on."""
+    """Training rooms."""
     valid: SetRecord = SetRecord()
-    """Rooms to choose settings by."""
+    """Validation rooms."""
     test: SetRecord = SetRecord()
-    """Rooms with unseen layouts."""
+    """Test rooms, with unseen layouts."""
     test_task: SetRecord | None = None
-    """Rooms with unseen layouts and tasks (None: the rung has too few tasks to hold some out)."""
+    """Test rooms with unseen layouts and tasks (None: the rung has too few tasks to hold out)."""
     task_overlap: Annotated[float, Range(0, 1)] = 0.0
-    """Share of the test's rooms whose task some training room has."""
+    """Share of test rooms whose task occurs in training."""
 
 
 @dataclasses.dataclass(frozen=True)
 class AxisRecord(Settings):
-    """Record of one axis of a profile: an ability, and the rungs that ask more and more of it."""
+    """Record of one axis of a profile: an ability and rungs of increasing difficulty."""
 
     _section = "axis"
     name: str = "axis"
@@ -72,36 +72,34 @@ class AxisRecord(Settings):
     rungs: tuple[str, ...] = ()
     """Names of the rungs, from easy to hard."""
     observation: str = ""
-    """Observation of agents that are asked for none (empty: the protocol's)."""
+    """Default observation on this axis (empty: the protocol's)."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Manifest(Settings):
-    """A benchmark: its name, the version that its roots belong to, and its rungs in order."""
+    """Manifest of a benchmark: name, version and rungs in order."""
 
     _section = "manifest"
     name: str = "benchmark"
-    """Name of the benchmark; a season of its own wherever dynamics or generation change."""
+    """Name of the benchmark; a change of dynamics or generation requires a new name."""
     package: str = ""
-    """Version of hrl_escape that the roots were computed with."""
+    """Version of hrl_escape that computed the roots."""
     schema: Annotated[int, Range(1, 1000)] = 1
     """Schema version of the instances."""
     rungs: tuple[RungRecord, ...] = ()
     """Rungs from easy to hard."""
     axes: tuple[AxisRecord, ...] = ()
-    """Axes of the profile that the benchmark gives, in place of one order; none by default."""
+    """Axes of the benchmark's profile; empty for rungs in one order."""
     layouts: Annotated[int, Range(1, LATEST_LAYOUTS)] = 1
-    """Version by which rooms look alike: 1 by rounded places, 2 turned or mirrored and within a margin."""
-    hidden_round: Annotated[int, Range(1, 2**63 - 1)] | None = None
-    """Round of drand's quicknet that decides hidden tests, announced before agents are frozen (None: not yet)."""
+    """Version of layouts by which rooms are compared; see `sets.keys`."""
 
     def save(self, path: str | Path) -> None:
-        """Write the manifest as JSON; fields at their defaults are left out."""
+        """Write the manifest as JSON without fields at their defaults."""
         write_json(path, list_changes(self), indent=1)
 
 
 def list_changes(settings: Settings) -> dict[str, Any]:
-    """Fields of settings that are not at their defaults, as plain values."""
+    """Return the fields of settings that differ from their defaults, as plain values."""
     found: dict[str, Any] = {}
     plain = settings.to_dict()
     for field in dataclasses.fields(settings):
@@ -119,12 +117,12 @@ def list_changes(settings: Settings) -> dict[str, Any]:
 
 
 def list_benchmarks() -> tuple[str, ...]:
-    """Names of the benchmarks that come with the package."""
+    """Return the names of the benchmarks that come with the package."""
     return tuple(sorted(path.stem for path in _DATA.glob("*.json")))
 
 
 def load_manifest(name: str | Path) -> Manifest:
-    """Load a manifest that comes with the package, or one from a JSON file."""
+    """Load a manifest by name, or from a JSON file."""
     if isinstance(name, Path) or name.endswith(".json"):
         return Manifest.from_dict(read_json(name, "manifest"))
     if name not in list_benchmarks():

@@ -1,4 +1,4 @@
-"""Places of runs: one room to train and be tested in, or rooms to train in and others to be tested in."""
+"""Training and evaluation rooms of runs: one room for both, or separate sets."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from hrl_escape.sets.room_sequence import RoomSequence, RoomSets, list_sets, loa
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Rooms to train in, and rooms to be tested in, of the same configuration or of another; or two room sequences."""
+    """Training and test rooms: sets of the same or different configurations, or two room sequences."""
 
-    train: RoomSets  # rooms to train in
-    test: RoomSets  # rooms to be tested in
+    train: RoomSets  # training rooms
+    test: RoomSets  # test rooms
 
     def __post_init__(self) -> None:
         first, *others = self.sets
@@ -41,12 +41,12 @@ class Split:
 
     @property
     def sets(self) -> tuple[InstanceSet, ...]:
-        """Sets to train in, then those to be tested in."""
+        """Training sets, then test sets."""
         return (*list_sets(self.train), *list_sets(self.test))
 
     @property
     def is_transfer(self) -> bool:
-        """Agents act in rooms of several configurations."""
+        """Training and test rooms have different configurations."""
         return len({rooms.config for rooms in self.sets}) > 1
 
     @cached_property
@@ -57,14 +57,14 @@ class Split:
 
     @property
     def room_overlap(self) -> float:
-        """Share of the rooms to be tested in that are trained in too."""
+        """Share of test rooms that occur in training."""
         known = {(rooms.config, seed) for rooms in list_sets(self.train) for seed in rooms.seeds}
         tested = {(rooms.config, seed) for rooms in list_sets(self.test) for seed in rooms.seeds}
         return len(known & tested) / len(self.test)
 
     @cached_property
     def task_overlap(self) -> float:
-        """Share of the test rooms whose puzzle, up to the numbers of buttons, is trained on too."""
+        """Share of test rooms whose puzzle, up to the numbers of buttons, occurs in training."""
         return compute_task_overlap(*([task for each in list_sets(rooms) for task in each.tasks]
                                       for rooms in (self.train, self.test)))
 
@@ -74,26 +74,26 @@ class RunPlace:
     """Training and evaluation rooms of a run."""
 
     name: str  # in tables
-    instance: RoomInstance  # the room; of a split, the first room to be tested in, which stands for all in pictures
-    split: Split | None = None  # rooms to train in and to be tested in; None for one room that is both
+    instance: RoomInstance  # the room; of a split, the first test room, for pictures
+    split: Split | None = None  # training and test rooms, or None for one room that is both
 
     @classmethod
     def of_room(cls, instance: RoomInstance, name: str = "") -> RunPlace:
-        """One room, `clutter`, or `clutter#3` for another than the first instance."""
+        """Use one room for training and evaluation."""
         return cls(name or (f"{instance.name}#{instance.seed}" if instance.seed else instance.name), instance)
 
     @classmethod
     def of_split(cls, train: RoomSets, test: RoomSets) -> RunPlace:
-        """Rooms to train in, and rooms to be tested in."""
+        """Use separate training and test rooms."""
         return cls(f"{train.name} > {test.name}", test[0], Split(train, test))
 
     @property
     def id(self) -> str:
-        """Content hash of everything in it."""
+        """Content hash of all rooms."""
         return self.instance.id if self.split is None else self.split.id
 
     def save(self, folder: Path) -> None:
-        """Write the instance, and the split, each under its id."""
+        """Write the instance and the split, each to a file named by its id."""
         self.instance.save(folder / f"{self.instance.id}.json")
         if self.split is not None:
             write_json(folder / f"{self.id}.json", {role: getattr(self.split, role).describe()["content"]
@@ -101,7 +101,7 @@ class RunPlace:
 
     @classmethod
     def load(cls, folder: Path, place_id: str) -> RunPlace:
-        """Load what `save` wrote."""
+        """Load the files of `save`."""
         path = folder / f"{place_id}.json"
         content = read_json(path, "room")
         if isinstance(content, Mapping) and content.keys() == {"train", "test"}:

@@ -1,4 +1,4 @@
-"""Schedule of rooms: evaluation episodes go round a set in order."""
+"""Schedule of rooms: evaluation episodes cycle through a set in order."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from gymnasium.utils import RecordConstructorArgs
 
 
 class RoomSchedule(gymnasium.Wrapper, RecordConstructorArgs):
-    """Chooses the room of an episode by its seed, so that evaluations go round a set.
+    """Wrapper that chooses the room of an episode by its seed, for evaluations that cycle through a set.
 
     Args:
         env: an `InstanceSetEnv`.
-        rooms: episode seed -> number of the room in the set. Other seeds draw a room.
+        rooms: episode seed -> number of the room in the set. Episodes with other seeds draw a room.
     """
 
     def __init__(self, env: gymnasium.Env, rooms: Mapping[str, int]) -> None:

@@ -1,4 +1,4 @@
-"""Room sequences: sets of rooms of which an episode takes one each, in order; see `SequenceEnv`."""
+"""Room sequences: an episode visits one room of each set, in order; see `SequenceEnv`."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.sets.instance_set import InstanceSet
 
 SEQUENCE_HORIZON = 20_000
-"""Primitives of an episode, in all rooms of a sequence together."""
+"""Horizon of an episode over all rooms of a sequence, primitives."""
 
 
 class RoomSequence:
-    """Sets of rooms, one for each position of a sequence, in order; every room has the horizon of the sequence.
-
-    Where they are paired, an episode is in the rooms of one number, and all sets have equally many.
+    """Sets of rooms, one for each position of a sequence; every room has the horizon of the sequence.
 
     Args:
-        sets: of the positions, from the first on.
-        paired: an episode takes the rooms of one number; otherwise it draws each.
+        sets: one for each position, in order.
+        paired: an episode uses the rooms of one number in all sets, which have equal sizes; otherwise each room is
+            drawn independently.
     """
 
     def __init__(self, sets: Sequence[InstanceSet], paired: bool = False) -> None:
@@ -41,7 +40,7 @@ class RoomSequence:
         return self.sets[0][index]
 
     def describe(self) -> dict[str, Any]:
-        """Return the sequence as JSON values, as a set does; `load_rooms` makes it again from the content."""
+        """Return the sequence as JSON values, for `load_rooms`."""
         parts = [rooms.describe() for rooms in self.sets]
         digest = hashlib.sha256("".join(part["id"] for part in parts).encode()).hexdigest()
         return {"id": digest[:16], "content": {"sequence": [part["content"] for part in parts],
@@ -49,27 +48,28 @@ class RoomSequence:
 
 
 def repeat_set(rooms: InstanceSet, count: int) -> RoomSequence:
-    """Make a sequence of several rooms of one set, whose marks have one motif in an episode.
+    """Make a sequence of several rooms of one set whose cues share one latent code in each episode.
 
-    Rooms whose motif fewer rooms have than the sequence is long are left out.
+    Codes with fewer than `count` rooms are left out.
 
     Args:
-        rooms: whose marks have motifs.
-        count: rooms of the sequence.
+        rooms: set of rooms whose cues have latent codes.
+        count: number of rooms in the sequence.
 
     Raises:
-        ConfigError: marks without motifs, fewer than two rooms, or a set of too few.
+        ConfigError: the cues have no latent codes, `count` is below 2, or the set is too small.
     """
     puzzle, name = rooms.config.puzzle, f"{rooms.name} x {count}"
     if count < 2 or not isinstance(puzzle, ButtonsConfig) or puzzle.marks.motifs < 2:
-        raise ConfigError("room", name, "a sequence repeats a set two or more times, and its marks have motifs")
+        raise ConfigError("room", name, "a sequence repeats a set two or more times, and requires cues with "
+                          "latent codes")
     groups: dict[int, list[int]] = defaultdict(list)
     for seed in rooms.seeds:
         drawn: Any = sample_puzzle(rooms.config, seed)[1]
         groups[puzzle.marks.find_motif(drawn.marks, drawn.edge_list, drawn.goal)].append(seed)
     kept = [group for _, group in sorted(groups.items()) if len(group) >= count]
     if not kept:
-        raise ConfigError("room", name, f"a sequence of {count} needs {count} rooms of one motif")
+        raise ConfigError("room", name, f"a sequence of {count} needs {count} rooms of one latent code")
     return RoomSequence([InstanceSet(name, rooms.config, [seed for group in kept
                                      for seed in (*group[position:], *group[:position])])
                          for position in range(count)], paired=True)
@@ -80,7 +80,7 @@ RoomSets: TypeAlias = "InstanceSet | RoomSequence"
 
 
 def list_sets(rooms: RoomSets) -> tuple[InstanceSet, ...]:
-    """Return the sets of a sequence, or a set alone."""
+    """Return the sets of a sequence, or a single set."""
     return rooms.sets if isinstance(rooms, RoomSequence) else (rooms,)
 
 

@@ -23,7 +23,7 @@ _OLD_FIELDS = {"preset", "file", "seed", "arguments"}
 
 
 def renew_room(room: str | Mapping[str, Any]) -> str | dict[str, Any]:
-    """Form of a room or of a set of a grid of version 0.3 in this version, where ranges leave their end out."""
+    """Convert a room or set of a grid of version 0.3, where ranges included their end."""
     if isinstance(room, str):
         return " + ".join(_renew_text(part) for part in room.split(" + "))
     if room.get("config") is not None:
@@ -55,11 +55,11 @@ class RoomSpec(Settings):
     room: str = ""
     """Text of the grammar that names one room, such as clutter#3; see `sets.grammar`."""
     config: dict[str, Any] | None = None
-    """Configuration in place of a text, as `RoomConfig.to_dict` gives it."""
+    """Configuration in place of a text, in the form of `RoomConfig.to_dict`."""
     instance: Annotated[int, Range(0, 2**63 - 1)] = 0
     """Instance of `config`."""
     set: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Fields that are changed, by dotted path, as --set does."""
+    """Changes by dotted path, as with --set."""
 
     def check(self) -> None:
         """Require exactly one source, and a text that can be parsed."""
@@ -71,7 +71,7 @@ class RoomSpec(Settings):
 
     @property
     def label(self) -> str:
-        """Name in short text: the room's, or that of the configuration with `#` and the instance."""
+        """Short name: the text, or the name of the configuration with `#` and the instance."""
         if self.config is None:
             return self.room
         name = self.config.get("name") or ""
@@ -88,20 +88,20 @@ class RoomSpec(Settings):
         return generate(change_config(RoomConfig.from_dict(self.config), self.set), self.instance)
 
     def make_place(self) -> RunPlace:
-        """Make the room as a place of runs; rooms of sets and of presets with arguments keep their text as name."""
+        """Make the room as a place of runs."""
         name = RoomName.parse(self.room) if self.room else None
         is_named = name is not None and (name.is_in_set or bool(name.arguments))
         return RunPlace.of_room(self.make_instance(), self.room if is_named else "")
 
     def move_to(self, folder: Path) -> Self:
-        """Return the room with the path of its file taken from a folder."""
+        """Return the room with its file path resolved against a folder."""
         if not self.room or not RoomName.parse(self.room).is_file:
             return self
         return dataclasses.replace(self, room=str(folder / self.room))
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Build from a table; one of version 0.3 is refused with a message that shows its new form."""
+        """Build from a table; raises for a table of version 0.3, with its new form in the message."""
         if isinstance(data, Mapping) and (_OLD_FIELDS & data.keys() or isinstance(data.get("set"), str)):
             raise GridError(f"a room of a grid is one text since version 0.4: write {renew_room(data)!r}")
         return super().from_dict(data)

@@ -1,94 +1,55 @@
-"""Rungs: a room configuration, and sets of rooms to train and test on whose seeds follow from names.
+"""Rungs: a room configuration with training and test sets.
 
-Room i of a set is generated from `derive_seed(benchmark, rung, role, i)`. Where a rung holds out tasks, a tenth of all
-tasks, chosen by their hash, occurs in `test_task` only.
-
-Hidden tests need no server: their seeds follow from a round of a public beacon, drand's quicknet, that lies ahead when
-a season announces it. Agents are frozen, by the hash of their code and weights, before the round; afterwards anybody
-can derive the seeds, run the test and verify the score, for ever. A round has one value and a value one canonical form,
-so nobody can choose among tests by spelling it otherwise.
+Room i of a set is generated from the seed `derive_seed(benchmark, rung, role, i)`. If a rung holds out tasks, a tenth
+of all tasks, chosen by their hash, occurs only in `test_task`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-import re
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterator
 from functools import cached_property
-from typing import NamedTuple
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, EscapeError, GenerationError
+from hrl_escape.errors import EscapeError, GenerationError
 from hrl_escape.sets.instance_set import InstanceSet, LazySeeds, derive_task
-from hrl_escape.sets.keys import LayoutKey, RoomKeys, SeenLayouts, compute_keys
+from hrl_escape.sets.keys import LayoutKey, RoomKeys, compute_keys
 from hrl_escape.sets.manifest import ROLES, RungRecord
-
-_ROUND = re.compile(r"(?:drand\W+)?quicknet\W+(?:round\W+)?(\d+)\W+(?:randomness\W+)?(?:0x)?([0-9a-f]{64})", re.ASCII)
-
-
-class Beacon(NamedTuple):
-    """One round of drand's quicknet chain (https://api.drand.sh, chain 52db9ba70e0c...)."""
-
-    round: int  # its number
-    value: str  # its randomness, 64 lower-case hexadecimal digits
-
-    def __str__(self) -> str:
-        return f"quicknet {self.round} {self.value}"
-
-
-def read_beacon(text: str) -> Beacon:
-    """Read a round from text, such as `quicknet 4242 1f9c...`; spellings of one round give one value."""
-    found = _ROUND.fullmatch(text.strip().lower())
-    if found is None or int(found[1]) == 0:
-        raise ConfigError("beacon", text, "a round of drand's quicknet and its randomness, 'quicknet 4242 1f9c...', "
-                          "which has 64 hexadecimal digits")
-    return Beacon(int(found[1]), found[2])
 
 
 def derive_seed(*words: str | int) -> int:
-    """Instance seed that follows from words: the first 63 bits of SHA-256 over them, joined by slashes."""
+    """Derive an instance seed: the first 63 bits of SHA-256 over the words, joined by slashes."""
     digest = hashlib.sha256("/".join(map(str, words)).encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1
 
 
-def derive_hidden_seed(beacon: Beacon, benchmark: str, rung: str, index: int) -> int:
-    """Seed of one room of a hidden test, numbered from 0.
-
-    The round was announced before agents were frozen, and published after.
-    """
-    return derive_seed(benchmark, rung, "hidden", str(beacon), index)
-
-
 HELD_OUT = 10
-"""One task in this many is kept for `test_task`."""
+"""One task in this many is reserved for `test_task`."""
 
 
 def is_held_out(task: str) -> bool:
-    """Return whether a task, by its key, is kept for `test_task`."""
+    """Return whether a task is reserved for `test_task`, by its key."""
     return int(task[:8], 16) % HELD_OUT == 0
 
 
 class Rung:
-    """One rung: a room configuration, and the sets of rooms to train and test on.
+    """Rung of a benchmark: a room configuration with training and test sets.
 
     Args:
         benchmark: name of the benchmark.
         record: the rung in the manifest.
-        source: name or file by which `load_benchmark` finds it, so that environments of its sets have a `spec`.
-        hidden_round: round of the beacon that the benchmark has announced for hidden tests.
-        layouts: version by which rooms look alike, see `Manifest`.
+        source: name or file for `load_benchmark`, which gives environments of its sets a `spec`.
+        layouts: version of layouts, see `Manifest`.
 
     Attributes:
-        isolates: ability that it asks for beyond the rung before.
+        isolates: ability that it requires beyond the previous rung.
         config: room configuration of its rooms.
     """
 
-    def __init__(self, benchmark: str, record: RungRecord, source: str = "", hidden_round: int | None = None,
-                 layouts: int = 1) -> None:
-        self.benchmark, self.record, self.source, self.hidden_round = benchmark, record, source, hidden_round
-        self.layouts = layouts
+    def __init__(self, benchmark: str, record: RungRecord, source: str = "", layouts: int = 1) -> None:
+        self.benchmark, self.record, self.source, self.layouts = benchmark, record, source, layouts
         self.name, self.isolates, self.config = record.name, record.isolates, record.config
 
     def __repr__(self) -> str:
@@ -99,27 +60,27 @@ class Rung:
 
     @cached_property
     def train(self) -> InstanceSet:
-        """Rooms to learn on."""
+        """Training rooms."""
         return self._make("train")
 
     @cached_property
     def valid(self) -> InstanceSet:
-        """Rooms to choose settings by."""
+        """Validation rooms."""
         return self._make("valid")
 
     @cached_property
     def test(self) -> InstanceSet:
-        """Rooms with unseen layouts; their tasks may occur in training, see `record.task_overlap`."""
+        """Test rooms with unseen layouts; some tasks occur in training, see `record.task_overlap`."""
         return self._make("test")
 
     @cached_property
     def test_task(self) -> InstanceSet | None:
-        """Rooms with unseen layouts and unseen tasks; None where the rung has too few tasks to hold some out."""
+        """Test rooms with unseen layouts and tasks, or None if the rung has too few tasks to hold out."""
         return None if self.record.test_task is None else self._make("test_task")
 
     @property
     def sets(self) -> dict[str, InstanceSet]:
-        """Sets that the rung has, by role: `train`, `valid`, `test` and, if there is one, `test_task`."""
+        """Sets of the rung by role: `train`, `valid`, `test` and, if present, `test_task`."""
         every = {role: getattr(self, role) for role in ROLES}
         return {role: rooms for role, rooms in every.items() if rooms is not None}
 
@@ -132,45 +93,30 @@ class Rung:
         return InstanceSet(f"{self.benchmark}/{self.name}/{role}", self.config, seeds, place)
 
     def iterate_seeds(self, role: str) -> Iterator[tuple[int, int]]:
-        """Yield (index, seed) of the candidates for a set: all but those whose task belongs elsewhere."""
-        return self._keep_tasks(role == "test_task",
-                                ((i, derive_seed(self.benchmark, self.name, role, i)) for i in itertools.count()))
-
-    def _keep_tasks(self, held_out: bool, seeds: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-        for index, seed in seeds:
-            if self.record.test_task is None or is_held_out(derive_task(self.config, seed)) == held_out:
+        """Yield (index, seed) of the candidates for a set, without tasks that are reserved for another set."""
+        for index in itertools.count():
+            seed = derive_seed(self.benchmark, self.name, role, index)
+            if self.record.test_task is None or (
+                    is_held_out(derive_task(self.config, seed)) == (role == "test_task")):
                 yield index, seed
-
-    def make_hidden_test(self, beacon: str, count: int = 100) -> InstanceSet:
-        """Make the hidden test that public randomness decides; no agent may be changed after it was published.
-
-        Rooms that look like one of the rung's published sets are skipped. This generates all these sets.
-
-        Args:
-            beacon: round of drand's quicknet and its randomness, as `read_beacon` takes it.
-            count: number of rooms.
-
-        Raises:
-            ConfigError: no such round, or another than the benchmark has announced.
-        """
-        read = read_beacon(beacon)
-        if self.hidden_round not in (None, read.round):
-            raise ConfigError("beacon", beacon, f"round {self.hidden_round}, which {self.benchmark} has announced")
-        seeds = ((i, derive_hidden_seed(read, self.benchmark, self.name, i)) for i in itertools.count())
-        seen = SeenLayouts(compute_keys(room, self.layouts).layout for rooms in self.sets.values() for room in rooms)
-        _, kept = choose_seeds(self.config, self._keep_tasks(False, seeds), count, seen, self.layouts)
-        return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{read.round}", self.config, list(kept))
 
 
 def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Container[LayoutKey],
                  layouts: int = 1) -> tuple[list[int], dict[int, RoomKeys]]:
-    """Choose the first seeds, of (index, seed) pairs, whose rooms can be generated and look like none that was seen.
+    """Choose the first seeds whose rooms can be generated and are not alike to a known layout.
+
+    Args:
+        config: room configuration.
+        candidates: (index, seed) pairs, in order.
+        count: number of rooms.
+        seen: known layouts.
+        layouts: version of layouts.
 
     Returns:
-        Indices skipped, and the keys of the rooms chosen, by seed.
+        Skipped indices, and the keys of the chosen rooms by seed.
 
     Raises:
-        EscapeError: almost every candidate must be skipped.
+        EscapeError: almost every candidate was skipped.
     """
     skipped: list[int] = []
     kept: dict[int, RoomKeys] = {}
@@ -187,5 +133,5 @@ def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], coun
             return skipped, kept
         if len(skipped) > 10 * (count + len(kept)):
             break
-    raise EscapeError(f"of the first {len(kept) + len(skipped)} rooms, {len(skipped)} look like known ones or cannot "
-                      "be generated: give the room configuration more room to vary")
+    raise EscapeError(f"of the first {len(kept) + len(skipped)} rooms, {len(skipped)} are alike to known ones or "
+                      "cannot be generated: give the room configuration more room to vary")

@@ -1,8 +1,7 @@
-"""Sequences of rooms as one episode: several trials in the same room, or one room after another.
+"""Episodes of several parts: trials in the same room, or one room after another.
 
-Trials are the formulation of Duan et al. (2016), "RL^2": an agent whose weights do not change can get better within the
-episode by its memory alone. Sequences of rooms are those of Juliani et al. (2019), "Obstacle Tower": an escape leads
-to the next room, within one horizon.
+Trials follow Duan et al. (2016), "RL^2": an agent with frozen weights can improve within the episode by its memory.
+Sequences of rooms follow Juliani et al. (2019), "Obstacle Tower": an escape leads to the next room, within one horizon.
 """
 
 from __future__ import annotations
@@ -20,34 +19,33 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 
 
 def compute_room_seed(seed: int, position: int) -> int:
-    """Seed of a room in the sequence of an episode, by its position from 0; the first has the episode's own."""
+    """Compute the seed of a room in an episode by its position; the first room has the episode's seed."""
     return int(np.random.SeedSequence([seed, position]).generate_state(1)[0]) if position else seed
 
 
 class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Makes an episode of several trials, each from a start of a room.
+    """Wrapper for episodes of several trials, each from a start of a room.
 
-    With `trials`, all are in the same room, and each has the room's horizon to itself. With `then`, each is in a room
-    of its own: an escape leads to the next room, which follows from the episode's seed as its start does. The
-    primitives of the rooms before count, so that all share one horizon. An episode ends with its last trial, or in a
-    room from which the robot does not escape.
+    With `trials`, all trials are in the same room and each has the room's full horizon. With `then`, each trial is in a
+    different room: an escape leads to the next room, whose instance and start follow from the episode's seed. All rooms
+    share one horizon. The episode ends with the last trial, or in a room from which the robot does not escape.
 
-    The step that ends a trial shows the start of the next one, and neither terminates nor truncates unless it was the
-    last. Wrappers and recurrent agents outside see one episode. `info["trial"]` is the number of a step's trial, from
-    0; where it ends the trial `info["trial_ended"]` is true and `info["is_success"]` says whether the robot escaped.
+    The step that ends a trial returns the first observation of the next trial, and neither terminates nor truncates
+    unless it was the last. Wrappers and recurrent agents outside see one episode. `info["trial"]` is the number of the
+    trial, from 0. At the end of a trial `info["trial_ended"]` is true and `info["is_success"]` holds its success.
 
     Args:
         env: a room or a set of rooms, or an `OptionsEnv` over one.
         trials: number of trials in its room.
-        then: environments of the rooms that follow, with the same spaces, or their descriptions.
-        paired: every room has the number, in its set, that the first one has; otherwise each is drawn.
+        then: environments of the following rooms, with the same spaces, or their descriptions.
+        paired: all rooms have the number of the first one in their sets; otherwise each is drawn.
 
     Attributes:
         parts: environments of all rooms in order, the first one `env`.
 
     Raises:
-        ConfigError: no trial, or several with rooms that follow.
-        UnsupportedError: a room has other spaces than the first.
+        ConfigError: `trials` is below 1, or above 1 with `then`.
+        UnsupportedError: a room has different spaces from the first.
     """
 
     def __init__(self, env: gymnasium.Env, trials: int = 1, then: Sequence[gymnasium.Env | Mapping[str, Any]] = (),
@@ -68,7 +66,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     @property
     def unwrapped(self) -> Any:
-        """The room that the robot is in."""
+        """The current room's environment."""
         return self._present.unwrapped
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -80,7 +78,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return observation, {**info, "trial": 0}
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Act; at the end of a trial the next one begins."""
+        """Take an action; at the end of a trial the next one begins."""
         observation, reward, terminated, truncated, info = self._present.step(action)
         info = {**info, "trial": self._trial, "trial_ended": terminated or truncated}
         if terminated or truncated:
@@ -107,7 +105,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self.env.reset(options=None if index is None else {"instance_index": index})
 
     def _go_on(self) -> tuple[Any, dict[str, Any]]:
-        """Begin in the next room, with the primitives of those before spent."""
+        """Begin in the next room with the remaining horizon."""
         spent, seed = self.unwrapped.get_state().primitives, compute_room_seed(self._seed, self._trial)
         self._present = self.parts[self._trial]
         first: Any = self.parts[0].unwrapped

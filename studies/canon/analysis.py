@@ -21,7 +21,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison, run_grid
 from hrl_escape.benchmark.grid import Grid, GridRun
 from hrl_escape.benchmark.launching.local import LocalLauncher
-from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError

@@ -1,4 +1,4 @@
-"""The ladder's baselines: tables by protocol, what is mastered and passed, scores, calibration, and the tower."""
+"""Baselines of the ladder: tables by protocol, rungs mastered and passed, scores, calibration, sequence of rungs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from hrl_escape.benchmark.inference import (
     compute_wilson_interval,
     correct_by_holm,
 )
-from hrl_escape.benchmark.protocols import PASSED_EFFICIENCY, PASSED_RATE, TOWER, compute_ladder_score, get_budget
+from hrl_escape.benchmark.protocols import SEQUENCE, get_budget
 from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
 from hrl_escape.benchmark.reporting.figures import SPARE
+from hrl_escape.benchmark.standings import PASSED_EFFICIENCY, PASSED_RATE, compute_ladder_score
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
 from hrl_escape.names import count_nouns, join_words
@@ -83,8 +84,8 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
         noisy: rungs in which moves err.
     """
     lines = sorted(lines, key=lambda line: line.place)
-    tower = [line for line in lines if line.protocol == TOWER]
-    lines = [line for line in lines if line.protocol != TOWER]
+    sequence = [line for line in lines if line.protocol == SEQUENCE]
+    lines = [line for line in lines if line.protocol != SEQUENCE]
     alone = _part([line for line in lines if line.protocol == "per-instance"])
     over = group_runs(alone.get("Over options", ()))
     return Page({
@@ -97,7 +98,7 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collecti
         "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
                       if (own := [line for line in lines if line.protocol == name])},
         "calibration": tell_calibration(group_runs(next(iter(alone.values()))), rungs, noisy) if alone else [],
-        "tower": _describe_tower(tower, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
+        "sequence": _describe_sequence(sequence, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
     }, {"ladder": draw(over, rungs)} if over else {})
 
 
@@ -358,11 +359,11 @@ def _split(runs: Sequence[BaselineRun]) -> list[NDArray[np.float64]]:
     return [np.array(unit) for unit in units.values()]
 
 
-def _describe_tower(lines: Sequence[BaselineRun], budget: int) -> dict[str, Any] | None:
-    """Values of the section on the tower; None without a run.
+def _describe_sequence(lines: Sequence[BaselineRun], budget: int) -> dict[str, Any] | None:
+    """Values of the section on the sequence; None without a run.
 
     Args:
-        lines: runs in the tower.
+        lines: runs in the sequence.
         budget: primitives that the protocol itself trains for.
     """
     if not lines:
@@ -378,5 +379,5 @@ def _describe_tower(lines: Sequence[BaselineRun], budget: int) -> dict[str, Any]
         "episodes": max(line.episodes for line in lines), "trained": max(line.primitives for line in lines),
         "fewest": min(Counter((line.agent, line.primitives) for line in lines).values()),
         "runs": 1 + max(line.seed for line in lines),
-        "table": make_table(["agent", "runs", "trained for", "efficiency", "floors climbed"], rows),
+        "table": make_table(["agent", "runs", "trained for", "efficiency", "rooms escaped"], rows),
     }

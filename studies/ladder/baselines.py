@@ -15,19 +15,19 @@ from hrl_escape.benchmark.comparison import Comparison, read_comparison, run_gri
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.launching.local import Failure, LocalLauncher
 from hrl_escape.benchmark.protocols import (
-    TOWER,
+    SEQUENCE,
     LadderSettings,
     Protocol,
-    choose_floors,
+    choose_sequence,
     make_protocol_grid,
-    make_tower_grid,
+    make_sequence_grid,
 )
 from hrl_escape.files import read_toml
 from hrl_escape.sets.benchmark import Benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.running import NO_TRAINING, GridArgs
 
-__all__ = ["CLIMBERS", "GENERALISTS", "LEARNERS", "BaselineArgs", "collect_lines", "list_missing",
+__all__ = ["SEQUENCE_AGENTS", "GENERALISTS", "LEARNERS", "BaselineArgs", "collect_lines", "list_missing",
            "make_baseline_grids", "run_baselines"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
@@ -35,8 +35,8 @@ LEARNERS = (*_DATA["references"], *_DATA["agents"]["per-instance"])
 """Agents that learn a room from nothing, and references."""
 GENERALISTS = (*_DATA["references"], *_DATA["agents"]["generalise"])
 """Agents that learn in some rooms and act in others, and references."""
-CLIMBERS = (*_DATA["tower"]["references"], *_DATA["agents"]["generalise"])
-"""Agents in a tower, and references."""
+SEQUENCE_AGENTS = (*_DATA["sequence"]["references"], *_DATA["agents"]["generalise"])
+"""Agents in a sequence of rooms, and references."""
 
 
 class BaselinePlace(NamedTuple):
@@ -53,8 +53,8 @@ class BaselineArgs(GridArgs):
 
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default."""
-    protocol: tuple[Literal["per-instance", "generalise", "tower"], ...] = ("per-instance", "generalise")
-    """Protocols; in a tower the rungs are floors."""
+    protocol: tuple[Literal["per-instance", "generalise", "sequence"], ...] = ("per-instance", "generalise")
+    """Protocols."""
     agents: tuple[str, ...] = ()
     """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
     rooms: int = 10
@@ -79,17 +79,18 @@ def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[
         EscapeError: no such rung or agent.
     """
     chosen = [bench[name].name for name in args.rung] or [rung.name for rung in bench]
-    defaults = {"per-instance": LEARNERS, "generalise": GENERALISTS, TOWER: CLIMBERS}
+    defaults = {"per-instance": LEARNERS, "generalise": GENERALISTS, SEQUENCE: SEQUENCE_AGENTS}
     for runs, protocol in itertools.product(range(1, args.runs + 1), args.protocol):
-        alone, rungs = protocol == "per-instance", [TOWER] if protocol == TOWER else chosen
+        alone, rungs = protocol == "per-instance", [SEQUENCE] if protocol == SEQUENCE else chosen
         every = tuple(map(AgentSpec.parse, args.agents or defaults[protocol]))
         for kind, primitives in (("references", NO_TRAINING), ("learners", args.primitives)):
             agents = [agent for agent in every if agent.learns == (kind == "learners")]
             settings = LadderSettings(runs, primitives, args.rooms, first_seed=args.first_seed,
                                       eval_episodes=args.eval_episodes if alone else args.rooms)
             for count, rung in itertools.product(range(1, len(agents) + 1), rungs):
-                grid = (make_tower_grid(bench, args.rung or choose_floors(bench), agents[:count], settings)
-                        if protocol == TOWER else make_protocol_grid(bench, rung, protocol, agents[:count], settings))
+                grid = (make_sequence_grid(bench, args.rung or choose_sequence(bench), agents[:count], settings)
+                        if protocol == SEQUENCE else
+                        make_protocol_grid(bench, rung, protocol, agents[:count], settings))
                 yield BaselinePlace(protocol, rung, kind), grid
 
 

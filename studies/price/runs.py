@@ -198,7 +198,7 @@ def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymna
     if contestant.has_options:
         return OptionsEnv(single, include_primitives=False)
     if contestant.has_goals:
-        return GoalsEnv(single, escapes=1.0)
+        return GoalsEnv(single, exits=1.0)
     if not contestant.streams:
         return single
     many = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=contestant.streams, instance=room,

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-
-from hrl_escape.agents.training.results import load_result
-from hrl_escape.benchmark.comparison import Comparison
-from hrl_escape.benchmark.runs import get_training_folder
-from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.graphs import find_edges_that_matter
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
-__all__ = ["RoomKind", "ScalingRun", "collect_scaling_runs", "compute_edge_depth"]
+__all__ = ["RoomKind", "ScalingRun", "compute_edge_depth", "measure_depth"]
 
 
 class RoomKind(NamedTuple):
@@ -83,32 +78,8 @@ class ScalingRun:
         return self.task, self.agent, self.run
 
 
-def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomInstance]) -> list[ScalingRun]:
-    """Read the finished runs of a round.
-
-    Args:
-        comparison: a round's.
-        rooms: task -> its room; tasks that share a room share its run.
-
-    Raises:
-        FileReadError: a run's log is missing or damaged.
-    """
-    found = []
-    for run, result in comparison.runs:
-        training = load_result(get_training_folder(comparison.out, run))
-        assert result.solution is not None, "these grids have a rule for what is solved"
-        measured: dict[str, Any] = {
-            "agent": run.agent.label, "run": run.seed, "room": run.place_id,
-            "best": float(np.mean(result.score_range.reachable)), "worst": result.score_range.worst,
-            "budget": comparison.grid.primitives, "primitives": result.primitives, "decisions": result.decisions,
-            "seconds": round(training.seconds, 1), "first_escape": training.first_escape, **vars(result.solution),
-        }  # fmt: skip
-        found += [ScalingRun(*task, **measured, depth=_measure_depth(room)) for task, room in rooms.items()
-                  if room.id == run.place_id]
-    return found
-
-
-def _measure_depth(room: RoomInstance) -> int:
+def measure_depth(room: RoomInstance) -> int:
+    """Most edges that matter in a row, in the room's graph."""
     graph = get_mixin(room.puzzle, Graphed)
     return compute_edge_depth(find_edges_that_matter(graph.edges, graph.goal_targets), graph.goal_targets)
 

@@ -1,37 +1,42 @@
 """Scaling study: agents in rooms of 2 to 20 buttons, of some dependency graph and violation rule.
 
-Every run has a room of its own and ends early once its agent has solved it (`SolvedRule`). The study is a sequence of
-grids, because an agent that never escaped with fewer buttons does not run with more. Apart from these, factored R-MAX
-is told less than it usually is (`TOLD`).
+Every run has a room of its own and ends early once its agent has solved it (`SolvedRule`). Runs are made in rounds,
+because an agent that never escaped with fewer buttons does not run with more. In the rounds of `TOLD`, factored R-MAX
+is given less information than usual.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import sys
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from hrl_escape.agents.spec import AgentSpec, OptionsView
-from hrl_escape.benchmark.comparison import run_grid
-from hrl_escape.benchmark.grid import Grid, SolvedRule
-from hrl_escape.benchmark.launching.local import LocalLauncher
+from hrl_escape.agents.training.evaluation import compute_episode_seed
+from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import find_starts, make_agent_env
+from hrl_escape.benchmark.launching.local import get_fork_server
+from hrl_escape.benchmark.score_range import compute_score_range
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.files import read_toml
-from hrl_escape.sets.room_spec import RoomSpec
-from studies.running import refuse_failures
-from studies.scaling.results import RoomKind, ScalingRun, collect_scaling_runs
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ComparisonError
+from hrl_escape.files import make_folder, read_toml
+from hrl_escape.names import make_file_name
+from studies.scaling.results import RoomKind, ScalingRun, measure_depth
+from studies.scaling.solved_probe import SolvedProbe, SolvedRule
 
 __all__ = [
     "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GRAPHS", "MAX_PARENTS", "NEAR_BEST", "RULES", "SIZES",
-    "STUDY_PARTS", "TOLD", "TOLD_TASKS", "Round", "choose_options", "make_room", "run_scaling",
+    "STUDY_PARTS", "TOLD", "TOLD_TASKS", "Round", "choose_options", "get_run_folder", "make_room", "run_round",
+    "run_scaling",
 ]  # fmt: skip
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
@@ -75,30 +80,10 @@ class Round:
     agents: tuple[AgentSpec, ...]
     seed: int
 
-    def make_grid(self, primitives: int) -> Grid:
-        """The grid of these runs."""
-        ids = [room.id for room in self.rooms.values()]
-        return Grid(
-            name=f"scaling--{self.agents[0].label if len(self.agents) == 1 else 'told'}--{self.seed}",
-            description="How does learning over options scale with the number of buttons?",
-            agents=self.agents,
-            rooms=tuple(dict(zip(ids, self._specs, strict=True)).values()),
-            runs=1,
-            first_seed=self.seed,
-            primitives=primitives,
-            eval_every=primitives,
-            eval_episodes=1,  # each room has one start, so all episodes of an evaluation are the same
-            until_solved=SolvedRule(score=NEAR_BEST, check_every=500, graph_every=100),
-        )
-
-    @cached_property
-    def _specs(self) -> tuple[RoomSpec, ...]:
-        return tuple(RoomSpec(config=make_room(task).to_dict(), instance=self.seed) for task in self.tasks)
-
     @cached_property
     def rooms(self) -> dict[RoomKind, RoomInstance]:
         """Task -> its room. With two buttons a chain and a tree may be one room, which is run once."""
-        return {task: spec.make_instance() for task, spec in zip(self.tasks, self._specs, strict=True)}
+        return {task: generate(make_room(task), self.seed) for task in self.tasks}
 
 
 def make_room(task: RoomKind, width: float | None = None) -> RoomConfig:
@@ -117,10 +102,8 @@ def make_room(task: RoomKind, width: float | None = None) -> RoomConfig:
     return dataclasses.replace(room, name=f"{room.name}-noise", dynamics=DynamicsConfig(noise=0.1, slip=0.1))
 
 
-def run_scaling(
-    out: Path, runs: int, primitives: int, workers: int | None, minutes: float, console: Console | None = None,
-    first_seed: int = 0, parts: Sequence[str] = STUDY_PARTS, agents: Sequence[str] | None = None,
-) -> list[ScalingRun]:
+def run_scaling(out: Path, runs: int, primitives: int, workers: int | None, minutes: float, first_seed: int = 0,
+                parts: Sequence[str] = STUDY_PARTS, agents: Sequence[str] | None = None) -> list[ScalingRun]:
     """Run what is not finished in a folder: seed by seed, from small rooms to large, agent by agent.
 
     Args:
@@ -129,7 +112,6 @@ def run_scaling(
         primitives: budget of a run.
         workers: runs at a time; None for one a core.
         minutes: begin no run after so long.
-        console: where progress is shown; standard error by default.
         first_seed: lowest seed of rooms and training.
         parts: of `STUDY_PARTS`.
         agents: of the part `agents`, of `AGENTS`; None for all.
@@ -139,17 +121,80 @@ def run_scaling(
 
     Raises:
         ComparisonError: a run failed.
-        EscapeError: see `run_grid`.
     """
     finished: dict[tuple[RoomKind, str, int], ScalingRun] = {}
-    seeds = range(first_seed, first_seed + runs)
-    launcher = LocalLauncher(workers, begin_until=time.monotonic() + 60 * minutes)
+    seeds, until = range(first_seed, first_seed + runs), time.monotonic() + 60 * minutes
     for following in _list_rounds(seeds, first_seed, parts, agents or AGENTS, finished):
-        comparison = run_grid(following.make_grid(primitives), out, launcher, console)
-        refuse_failures(comparison)
-        for run in collect_scaling_runs(comparison, following.rooms):
-            finished[run.task, run.agent, run.run] = run
+        for run in run_round(following, out, primitives, workers, until):
+            finished[run.place] = run
     return list(finished.values())
+
+
+def run_round(part: Round, out: Path, primitives: int, workers: int | None = None, until: float = float("inf"),
+              checkpoint_seconds: float = 30.0) -> list[ScalingRun]:
+    """Make the runs of a round, each in a process; finished ones in the folder are read.
+
+    Args:
+        part: the round.
+        out: folder of the runs; a run that was stopped resumes from its checkpoint there.
+        primitives: budget of a run.
+        workers: runs at a time; None for one a core.
+        until: begin no run after this time of the monotonic clock.
+        checkpoint_seconds: between checkpoints.
+
+    Raises:
+        ComparisonError: a run failed.
+    """
+    make_folder(out)
+    found = []
+    with ProcessPoolExecutor(workers, get_fork_server()) as pool:
+        rooms: dict[str, list[RoomKind]] = {}
+        for task, room in part.rooms.items():
+            rooms.setdefault(room.id, []).append(task)
+        jobs = [(tasks, spec, pool.submit(run_once, tasks[0], spec, part.seed, primitives, out, until,
+                                          checkpoint_seconds))
+                for spec in part.agents for tasks in rooms.values()]
+        for tasks, spec, job in jobs:
+            try:
+                run = job.result()
+            except Exception as error:
+                raise ComparisonError(f"{spec.label} in {tasks[0]}, seed {part.seed}, failed: {error}. The same "
+                                      "command tries it again") from error
+            if run is not None:
+                found += [dataclasses.replace(run, graph=task.graph, rule=task.rule) for task in tasks]
+                print(f"{run.agent}, {', '.join(map(str, tasks[0]))}, seed {run.run}: {run.primitives} primitives",
+                      file=sys.stderr)
+    return found
+
+
+def get_run_folder(out: Path, room: RoomInstance, spec: AgentSpec, seed: int) -> Path:
+    """Folder of a run's training; `train` puts the key of the run in its name."""
+    return out / make_file_name(f"{spec.label}--{room.name}--seed-{seed}--{room.id[:6]}")
+
+
+def run_once(task: RoomKind, spec: AgentSpec, seed: int, primitives: int, out: Path, until: float,
+             checkpoint_seconds: float) -> ScalingRun | None:
+    """Train an agent in a room until it has solved it; None for a run that begins after `until`."""
+    room = generate(make_room(task), seed)
+    folder = get_run_folder(out, room, spec, seed)
+    if time.monotonic() > until and not (folder / "result.json").exists():
+        return None
+    env, recorder = make_agent_env(spec, room, "features")
+    try:
+        # A room has one start, so all episodes of an evaluation are the same: one is enough.
+        starts = find_starts(env, recorder, [compute_episode_seed(seed, "evaluation", 0)])
+        score_range = compute_score_range(starts, spec, out / "references")
+        probe = SolvedProbe(SolvedRule(NEAR_BEST), env, room, spec, score_range)
+        result = train(
+            AgentSpec(spec.name, options=OptionsView(include_primitives=False)), env, primitives=primitives, seed=seed,
+            settings=spec.resolve_settings(), eval_every=primitives, eval_episodes=1, eval_seed=seed, out=folder,
+            checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe, observed=False)
+    finally:
+        env.close()
+    return ScalingRun(
+        *task, agent=spec.label, run=seed, room=room.id, best=sum(score_range.reachable), worst=score_range.worst,
+        budget=primitives, primitives=result.primitives, decisions=result.decisions, seconds=round(result.seconds, 1),
+        first_escape=result.first_escape, **vars(probe.solution), depth=measure_depth(room))
 
 
 def _list_rounds(seeds: Sequence[int], first_seed: int, parts: Sequence[str], agents: Sequence[str],

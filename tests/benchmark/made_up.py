@@ -10,7 +10,7 @@ from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.launching.local import Failure
-from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
@@ -42,7 +42,7 @@ def make_result(returns: Sequence[float], best: float = BEST, reachable: float |
     score_range = ScoreRange(WORST, start, (best,), (reach,), (fewest,), (fewest_reachable,), source)
     first = next((round(place) for place, value in zip(places, returns, strict=True) if value > WORST), None)
     seconds = tuple(map(float, range(len(returns))))
-    return RunResult(budget, budget, 10 * len(returns), 7, 3, first, evaluations, score_range, None, seconds,
+    return RunResult(budget, budget, 10 * len(returns), 7, 3, first, evaluations, score_range, seconds,
                      0.5, {"torch": "1.0"})
 
 

@@ -13,7 +13,7 @@ from hrl_escape.benchmark.comparison import WHOLE, Comparison, Shard, run_grid
 from hrl_escape.benchmark.grid import Grid, GridRun
 from hrl_escape.benchmark.launching.local import Launcher, Listener, report_outcome
 from hrl_escape.benchmark.launching.worker import run_guarded
-from hrl_escape.benchmark.runs import get_training_folder
+from hrl_escape.benchmark.run_results import get_training_folder
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

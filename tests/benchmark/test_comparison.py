@@ -22,7 +22,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison, Shard, count_missing, read_comparison
 from hrl_escape.benchmark.launching.local import LocalLauncher, read_progress
 from hrl_escape.benchmark.reporting.report import write_report, write_tables
-from hrl_escape.benchmark.runs import get_run_folder, load_run_result, read_episodes
+from hrl_escape.benchmark.run_results import get_run_folder, load_run_result, read_episodes
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.cli import main
 from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError
@@ -176,7 +176,7 @@ def test_a_comparison_keeps_others_out_of_its_folder_and_no_process_outlives_it_
         os.killpg(process.pid, signal.SIGINT)  # reaches every process of the terminal
         output = process.communicate(timeout=600)[0].decode()
         assert process.returncode == 130
-        assert "the same command goes on from here" in output and "Traceback" not in output
+        assert "the same command resumes" in output and "Traceback" not in output
         assert wait_until(lambda: not find_processes_of_session(process.pid))
     finally:
         with suppress(ProcessLookupError):
@@ -294,7 +294,7 @@ def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path, caps
     output = "".join(capsys.readouterr())
     assert code == 2 and "Traceback" not in output, output
     about, *told = output.splitlines()
-    assert about == "nothing learns, so nothing is trained"
+    assert about == "no agent is trained"
     assert len(told) == 3 and all("was deleted or moved while its run was writing it" in line for line in told), output
     assert told[2].startswith("hrl-escape: ") and "no run has finished, so there is nothing to report" in told[2]
 

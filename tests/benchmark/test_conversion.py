@@ -11,9 +11,9 @@ import pytest
 from hrl_escape.agents import load_agent, load_env, load_result, unpack_run
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.benchmark.agent_archive import read_archive
 from hrl_escape.benchmark.conversion import convert_file, convert_label, convert_text
 from hrl_escape.benchmark.grid import load_grid
-from hrl_escape.benchmark.submission import read_submission
 from hrl_escape.cli import main
 from hrl_escape.errors import CheckpointError, FileReadError, GridError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
@@ -60,15 +60,16 @@ def test_a_run_of_version_0_3_is_refused_and_plays_as_before_once_converted(
 def test_a_pretrained_agent_of_version_0_3_is_converted_with_its_card(tmp_path: Path):
     (tmp_path / "old").mkdir()
     with pytest.raises(CheckpointError, match="hrl-escape convert"):
-        read_submission(OLD / "pretrained.zip", tmp_path / "old")
+        read_archive(OLD / "pretrained.zip", tmp_path / "old")
     with zipfile.ZipFile(OLD / "pretrained.zip") as archive:
         archive.extract("run.zip", tmp_path / "old")
     with pytest.raises(CheckpointError, match="hrl-escape convert"):
         unpack_run(tmp_path / "old" / "run.zip", tmp_path / "run")
     convert_file(OLD / "pretrained.zip", tmp_path / "new.zip")
     (tmp_path / "parts").mkdir()
-    found = read_submission(tmp_path / "new.zip", tmp_path / "parts")
-    assert found.entry.card.name == "smdp-q-learning" and "ladder run smdp-q-learning " in found.entry.card.training
+    found = read_archive(tmp_path / "new.zip", tmp_path / "parts")
+    assert found.card.name == "smdp-q-learning" and "ladder run smdp-q-learning " in found.card.training
+    assert len(found.results) == found.card.rooms
     unpack_run(tmp_path / "parts" / "run.zip", tmp_path / "run")
     assert load_agent(tmp_path / "run").name == "q-learning"
 
@@ -109,6 +110,7 @@ def test_the_command_converts_beside_the_file_and_leaves_it(tmp_path: Path, caps
     ("odd.zip", "text", FileReadError, "no archive"),
     ("notes.txt", "text", UnsupportedError, "convert takes"),
     ("new.toml", "format = 2\nagents = []", UnsupportedError, "format 2 already"),
+    ("solved.toml", 'agents = ["random"]\nuntil_solved = { score = 0.9 }', UnsupportedError, "no until_solved"),
 ])
 def test_what_holds_nothing_to_convert_is_refused(tmp_path: Path, name: str, content: str, error: type, words: str):
     (tmp_path / name).write_text(content)

@@ -11,9 +11,9 @@ import pytest
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
 from hrl_escape.benchmark.recording import record_episode
-from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.pictures.moving_map import make_frames
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.primitives import make_action_table

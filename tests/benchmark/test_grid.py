@@ -144,7 +144,7 @@ def test_options_say_nothing_about_a_flat_agent():
         ({"agents": ()}, "has no agents"),
         ({"rooms": ()}, "has no rooms"),
         ({"agents": ["dqn", "dqn"]}, "same agent label twice: dqn"),
-        ({"agents": ["dqn", AgentSpec("dqn", label="twin")]}, "same agent with the same settings twice"),
+        ({"agents": ["dqn", AgentSpec("dqn", label="other")]}, "same agent with the same settings twice"),
         ({"rooms": ["clutter", "clutter#0"]}, "same room twice"),
         ({"agents": ["dqqn"]}, "did you mean 'dqn'"),
         ({"agents": ["dqn@patint"]}, "did you mean 'patient'"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.benchmark.inference import compute_interval
-from hrl_escape.benchmark.protocols import compute_ladder_score, compute_learned_share, list_standings, score_standings
+from hrl_escape.benchmark.standings import compute_ladder_score, compute_learned_share, list_standings, score_standings
 from hrl_escape.benchmark.statistics import compute_iqm
 from hrl_escape.benchmark.summary import summarise
 from tests.benchmark.made_up import compare, make_result
@@ -58,7 +58,7 @@ def test_agents_are_scored_over_the_rungs_that_all_were_run_on():
     assert score_standings([both[1], *alone]) == ([], {}), "nothing to compare"
 
 
-def test_learned_share_is_0_for_the_best_searcher_1_for_who_knows_the_room_configuration_and_less_for_less():
+def test_learned_share_is_0_for_the_best_search_baseline_1_for_who_knows_the_room_configuration_and_less_for_less():
     assert compute_learned_share(0.9, 0.7, 0.95) == pytest.approx(0.8)
     assert compute_learned_share(0.6, 0.7, 0.95) == pytest.approx(-0.4)
     assert compute_learned_share(0.9, 0.70, 0.74) is None, "nothing to learn there"

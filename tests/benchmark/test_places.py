@@ -9,11 +9,11 @@ import json
 import pytest
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.benchmark.reporting.report import write_markdown, write_report
-from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.benchmark.verdict import write_verdict
 from hrl_escape.env.config import Between
 from hrl_escape.env.puzzles.base import Panels
@@ -105,7 +105,6 @@ def test_overlaps_of_rooms_and_tasks_are_counted():
     ({"train_rooms": ("clutter#0..4",)}, "one set of test_rooms"),
     ({"train_rooms": ("clutter#0..4",) * 3, "test_rooms": ("clutter#4",) * 2}, "3 train_rooms"),
     ({"rooms": ["clutter"], "train_rooms": ["clutter#0..4"], "test_rooms": ["clutter#4"]}, "not both"),
-    ({"train_rooms": ["clutter#0..4"], "test_rooms": ["clutter#4"], "until_solved": {"score": 0.9}}, "until_solved"),
 ])
 def test_sets_that_do_not_go_together_are_refused(fields, words):
     with pytest.raises(GridError, match=words):

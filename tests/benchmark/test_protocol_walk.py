@@ -7,16 +7,17 @@ from typing import Any, get_args
 import pytest
 
 from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.benchmark.execution import execute_run
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.protocols import (
-    TOWER,
+    SEQUENCE,
     LadderSettings,
     Protocol,
-    choose_floors,
+    choose_sequence,
     make_protocol_grid,
-    make_tower_grid,
+    make_sequence_grid,
 )
-from hrl_escape.benchmark.runs import execute_run, load_run_result
+from hrl_escape.benchmark.run_results import load_run_result
 from hrl_escape.errors import GridError
 from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
 
@@ -44,15 +45,15 @@ def run_all(grid: Grid, out) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("protocol", [name for name in get_args(Protocol) if name != TOWER])
+@pytest.mark.parametrize("protocol", [name for name in get_args(Protocol) if name != SEQUENCE])
 @pytest.mark.parametrize(("source", "rung"), RUNGS)
 def test_a_rung_trains_under_a_protocol(source, rung, protocol, tmp_path):
     bench = load_benchmark(source)
-    floors = [name for name in choose_floors(bench) if name != rung]
-    settings = choose_settings(source=floors[0] if protocol == "transfer" else None)
+    others = [name for name in choose_sequence(bench) if name != rung]
+    settings = choose_settings(source=others[0] if protocol == "transfer" else None)
     agent = AgentSpec.parse(LEARNERS.get(protocol, GENERALISER))
     grid = make_protocol_grid(bench, rung, protocol, [agent], settings)
-    if protocol == "transfer" and rung not in choose_floors(bench):
+    if protocol == "transfer" and rung not in choose_sequence(bench):
         with pytest.raises(GridError, match="take sets of rooms with the same robot"):
             grid.make_places()
         return
@@ -61,6 +62,7 @@ def test_a_rung_trains_under_a_protocol(source, rung, protocol, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("source", list_benchmarks())
-def test_the_tower_of_a_benchmark_is_trained_in(source, tmp_path):
+def test_the_sequence_of_a_benchmark_is_trained_in(source, tmp_path):
     bench = load_benchmark(source)
-    run_all(make_tower_grid(bench, choose_floors(bench), [AgentSpec.parse(GENERALISER)], choose_settings()), tmp_path)
+    grid = make_sequence_grid(bench, choose_sequence(bench), [AgentSpec.parse(GENERALISER)], choose_settings())
+    run_all(grid, tmp_path)

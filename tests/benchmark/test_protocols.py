@@ -6,15 +6,10 @@ import pytest
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.grid import Grid
-from hrl_escape.benchmark.protocols import (
-    LadderSettings,
-    Protocol,
-    judge,
-    list_standings,
-    make_protocol_grid,
-)
-from hrl_escape.benchmark.runs import make_agent_env
+from hrl_escape.benchmark.protocols import LadderSettings, Protocol, make_protocol_grid
+from hrl_escape.benchmark.standings import judge, list_standings
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
 from hrl_escape.sets.benchmark import load_benchmark

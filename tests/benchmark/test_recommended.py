@@ -43,10 +43,10 @@ def test_what_is_said_of_one_room_is_what_was_measured():
 def test_what_is_said_of_unseen_rooms_is_what_was_measured():
     kinds = ("marks-1/told", "marks-2/motifs", "marks-3/deceived", "marks-4/rules", "marks-4/wires")
     learner = [read_row("marks.md", f"| {kind}, 1,000 rooms | 10 |")[0] for kind in kinds]
-    searcher = [read_row("marks.md", f"| {kind}, searcher |")[0] for kind in kinds]
-    assert all(own > other for own, other in zip(learner, searcher, strict=True))
+    baseline = [read_row("marks.md", f"| {kind}, searcher |")[0] for kind in kinds]
+    assert all(own > other for own, other in zip(learner, baseline, strict=True))
     assert f"Efficiency {tell_range(learner)} in unseen rooms" in UNSEEN.reason
-    assert f"has {tell_range(searcher)}." in UNSEEN.reason
+    assert f"has {tell_range(baseline)}." in UNSEEN.reason
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/faq.md", "docs/agents/index.md"])

@@ -9,9 +9,9 @@ import pytest
 
 from hrl_escape.agents.spec import ORACLE, SWEEP, SWEEP_RANDOM, AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.references.registry import make_reference
-from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset

@@ -16,7 +16,7 @@ MEASURED = [name for name in list_benchmarks() if load_references(name)]
 
 @pytest.mark.parametrize("name", MEASURED)
 def test_nobody_is_above_the_ceiling_and_the_planner_above_all(name: str):
-    """Means over the same rooms: chance, the best searcher, who knows how rooms are drawn, who knows the graph."""
+    """Means over the same rooms: chance, the best baseline, who knows how rooms are drawn, who knows the graph."""
     known = load_references(name)
     assert list(known) == [rung.name for rung in load_benchmark(name) if rung.name in known]
     for rung, own in known.items():

@@ -16,7 +16,8 @@ from gymnasium.wrappers import TransformReward
 
 from hrl_escape.agents import Agent, train
 from hrl_escape.agents.spec import SWEEP, AgentSpec, OptionsView
-from hrl_escape.benchmark.runs import execute_run, make_agent_env
+from hrl_escape.benchmark.agent_env import make_agent_env
+from hrl_escape.benchmark.execution import execute_run
 from hrl_escape.benchmark.score_range import CEILING, PLANNER, compute_score_range
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.benchmark.inference import compute_wilson_interval
-from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.places import RunPlace

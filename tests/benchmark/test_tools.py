@@ -1,4 +1,4 @@
-"""The agent that calls tools stands in comparisons as the searchers do: the same rooms, episodes and scores."""
+"""The agent that calls tools stands in comparisons as the search baselines do: the same rooms, episodes and scores."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid, make_tower_grid
-from hrl_escape.benchmark.runs import make_agent_env, make_player
+from hrl_escape.benchmark.agent_env import make_agent_env, make_player
+from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid, make_sequence_grid
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.cli import main
 from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError
@@ -23,13 +23,13 @@ from tests.text.rooms import get_room, play_manager
 UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-random", "reveal": "names"})
 
 
-def test_it_scores_what_the_searcher_scores_whose_choices_it_makes():
+def test_it_scores_what_the_search_baseline_scores_whose_choices_it_makes():
     found = []
     for spec in (AgentSpec("search-random"), UNTRIED, AgentSpec("text-agent", settings={"model": "random"})):
         env, recorder = make_agent_env(spec, get_room("chain-3"), "features")
         found.append(evaluate(make_player(spec, env, recorder), env, episodes=5))
-    searcher, text, chance = found
-    assert text == searcher != chance and text.success_rate == 1.0
+    baseline, text, chance = found
+    assert text == baseline != chance and text.success_rate == 1.0
 
 
 @pytest.mark.slow
@@ -39,8 +39,8 @@ def test_a_ladder_takes_it_and_reports_it_as_a_reference(tmp_path: Path):
     for protocol in ("generalise", "per-instance"):
         grid = make_protocol_grid(load_benchmark("ladder-1"), "chain-3", protocol, agents,
                                   LadderSettings(1, 500, 2, (2,), 2))
-        searcher, text, planner = summarise(run_quietly(grid, tmp_path / protocol)).agents
-        assert [*map(list, searcher.efficiencies)] == [*map(list, text.efficiencies)]
+        baseline, text, planner = summarise(run_quietly(grid, tmp_path / protocol)).agents
+        assert [*map(list, baseline.efficiencies)] == [*map(list, text.efficiencies)]
         assert text.success.value == 1.0 and planner.efficiency.value > text.efficiency.value
 
 
@@ -59,9 +59,9 @@ def test_settings_are_checked_and_decide_the_key(tmp_path: Path):
     assert found[0]["recorded"] != found[1]["recorded"] and spec.is_reference and not spec.learns
 
 
-def test_a_tower_is_refused():
+def test_a_sequence_is_refused():
     with pytest.raises(ConfigError, match="text-agent|text"):
-        make_tower_grid(load_benchmark("ladder-1"), ("pair", "chain"), (UNTRIED,), LadderSettings())
+        make_sequence_grid(load_benchmark("ladder-1"), ("pair", "chain"), (UNTRIED,), LadderSettings())
 
 
 def test_train_takes_it_and_tells_runs_of_different_callers_apart(tmp_path: Path):

@@ -42,9 +42,9 @@ def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
     ]
 
 
-@pytest.mark.parametrize(("searcher", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 10), False)])
-def test_that_learning_adds_is_said_of_who_beats_the_searcher(searcher, adds):
-    said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "search-nearest": searcher})
+@pytest.mark.parametrize(("baseline", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 10), False)])
+def test_that_learning_adds_is_said_of_who_beats_the_search_baseline(baseline, adds):
+    said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "search-nearest": baseline})
     assert any("Learning adds to it: `smdp-dqn`" in text for text in said["finding"]) == adds
     assert any("`smdp-dqn` shortens that to 19." in text for text in said["finding"])
 
@@ -142,10 +142,10 @@ def test_who_is_told_how_rooms_are_drawn_is_no_bar():
 
 
 @pytest.mark.nightly
-def test_learners_are_measured_against_the_best_searcher_that_learns_nothing():
+def test_learners_are_measured_against_the_best_search_baseline():
     start = "The best search baseline, `search-nearest`, escapes every time, in "
-    rule = ("It presses what is unlit and untried since the lights last changed, the nearest first, and starts every "
-            "episode anew")
+    rule = ("It presses buttons that are off and untried since a light last changed, the nearest first, and forgets "
+            "everything after an episode")
     worse = {"sweep": runs(*[-500] * 10), "oracle": runs(*[BEST] * 10)}
     said = judge({**worse, "search-nearest": CHANCE, "smdp-dqn": GOOD})
     assert f"{start}86 primitives. {rule}; `smdp-dqn`, trained in this room, is better." in said["finding"]

@@ -79,7 +79,7 @@ def test_a_recording_is_told_to_be_the_published_recording_or_refused_for_what_d
     assert_refused(capsys, ["data", "make", NAME], f"{there}: {found}")  # one that lies there already
     there.unlink()
     assert_refused(capsys, ["data", "make", NAME], f"{other}: {found}")
-    assert_refused(capsys, ["data", "make", NAME], "Give its path to use it all the same")
+    assert_refused(capsys, ["data", "make", NAME], "Give its path to use it")
     assert other.is_file() and not there.exists()  # it does not bear the published name
     assert load_data(other, observation="features").recording.content == recording.content
     code, out, err = call(capsys, "data", "make", NAME, "pair-expert-1m-v1")

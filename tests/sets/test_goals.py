@@ -95,7 +95,7 @@ def escape(env: gymnasium.Env, seed: int) -> list[tuple]:
 
 
 def test_the_exit_is_one_goal_whatever_is_lit_there():
-    env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False), escapes=1.0)
+    env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False), exits=1.0)
     reached = 0
     for seed in range(4):
         assert env.reset(seed=seed)[0]["desired_goal"].tolist() == [0, 0, 0, 0, 1]
@@ -120,14 +120,14 @@ def test_leaving_the_room_achieves_no_pattern_and_ends_the_episode():
 
 
 def test_a_share_of_the_episodes_asks_for_the_exit():
-    env = make_goals(escapes=0.25)
+    env = make_goals(exits=0.25)
     asked = [bool(env.reset(seed=seed)[0]["desired_goal"][-1]) for seed in range(200)]
     assert 30 <= sum(asked) <= 70
     assert not any(make_goals().reset(seed=seed)[0]["desired_goal"][-1] for seed in range(40))
 
 
 def test_learners_over_options_are_paid_for_the_goal_and_not_for_the_room():
-    env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False), escapes=1.0)
+    env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False), exits=1.0)
     steps = escape(env, 0)
     for seen, reward, *ends, info in steps:
         made = make_transition(seen, 0, np.ones(5, bool), (seen, reward, *ends, info), 0.99)
@@ -154,5 +154,5 @@ def test_impossible_goals_are_refused():
     with pytest.raises(UnsupportedError, match="no goals to draw"):
         make_goals("PushBlock").reset(seed=0)
     for share in (-0.1, 1.5, True):
-        with pytest.raises(ConfigError, match="escapes"):
-            make_goals(escapes=share)
+        with pytest.raises(ConfigError, match="exits"):
+            make_goals(exits=share)

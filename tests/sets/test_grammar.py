@@ -114,7 +114,7 @@ def test_sequences_repeat_a_set_or_join_several():
     ("clutter(size=4)", ConfigError, "size"),
     ("larg-2019(4)", ConfigError, r"larg-2019\(size=4\)"),
     ("larg-2019(size=4", ConfigError, "write a room such as"),
-    ("ladder-1/pair/test(size=4)", ConfigError, "those of presets"),
+    ("ladder-1/pair/test(size=4)", ConfigError, "only presets take"),
     ("cluttered", UnknownNameError, "did you mean 'clutter'"),
     ("nowhere.json", FileReadError, "nowhere.json"),
     ("", ConfigError, "such as clutter"),

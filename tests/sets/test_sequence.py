@@ -13,8 +13,8 @@ from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
+from hrl_escape.benchmark.agent_env import make_agent_env as make_view
 from hrl_escape.benchmark.references.registry import make_reference
-from hrl_escape.benchmark.runs import make_agent_env as make_view
 from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
@@ -291,8 +291,9 @@ def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_not
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("marks-2/words/test#0..8 x 2", "its marks have motifs"), ("marks-2/motifs/test#0..8 x 1", "2 to 1,000 rooms"),
-    ("marks-2/motifs/test#0..2 x 5", "needs 5 rooms of one motif")])
+    ("marks-2/words/test#0..8 x 2", "requires cues with latent codes"),
+    ("marks-2/motifs/test#0..8 x 1", "2 to 1,000 rooms"),
+    ("marks-2/motifs/test#0..2 x 5", "needs 5 rooms of one latent code")])
 def test_sets_that_cannot_repeat_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         find_sets(text)

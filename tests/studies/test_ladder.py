@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_escape.benchmark.protocols import TOWER, compute_ladder_score
+from hrl_escape.benchmark.protocols import SEQUENCE
+from hrl_escape.benchmark.standings import compute_ladder_score
 from hrl_escape.sets.benchmark import load_benchmark
 from studies.__main__ import main
 from studies.baseline import BaselineRun
@@ -192,31 +193,32 @@ def test_the_page_says_what_an_agent_with_three_parents_is_told():
 
 
 @pytest.mark.nightly
-def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung():
+def test_a_sequence_has_a_section_of_its_own_and_counts_in_no_rung():
     rooms = "x/low/train#0..64 and 2 more > x/low/test#0..3 and 2 more"
-    runs = [dataclasses.replace(LINE, protocol=TOWER, rung=TOWER, rooms=rooms, agent=agent, seed=seed, episodes=3,
+    runs = [dataclasses.replace(LINE, protocol=SEQUENCE, rung=SEQUENCE, rooms=rooms, agent=agent, seed=seed,
+                                episodes=3,
                                 primitives=0, efficiency=value, escapes=climbed)
             for agent, value, climbed in ((CHANCE, 0.125, 1 / 3), (KNOWN, 1.0, 1.0)) for seed in range(2)]
     lines = make_cells(SOUND)
     page = tell([*lines, *runs], RUNGS)
     assert f"| `{KNOWN}` | 2 | 0 | 1.00 | 100% |\n| `{CHANCE}` | 2 | 0 | 0.12 | 33% |" in page
     assert "one episode of 20,000 primitives: x/low/test#0..3 and 2 more." in page
-    assert f"--protocol tower --agents {KNOWN} {CHANCE} --runs 2 --rooms 3\n" in page
+    assert f"--protocol sequence --agents {KNOWN} {CHANCE} --runs 2 --rooms 3\n" in page
     trained = [dataclasses.replace(run, agent="dqn", primitives=budget) for run in runs[:1] for budget in (500, 900)]
     assert "--runs 2 --rooms 3 --primitives 900\n" in (text := tell([*lines, *runs, *trained], RUNGS))
-    assert "Learners train for 900 primitives, less than the tower's own 100,000." in text
+    assert "Learners train for 900 primitives, less than the sequence's own 100,000." in text
     enough = [dataclasses.replace(trained[0], seed=seed, primitives=100_000) for seed in range(10)]
-    assert "Nothing is concluded" in page and "Learners train" not in page[page.index("<details><summary>tower"):]
+    assert "Nothing is concluded" in page and "Learners train" not in page[page.index("<details><summary>sequence"):]
     assert "Nothing is concluded" not in (text := tell(enough, RUNGS)) and "less than" not in text
-    start = page.index("<details><summary>tower")
+    start = page.index("<details><summary>sequence")
     assert page[:start] + page[page.index("```console\npython", page.index("--rooms 3")):] == tell(lines, RUNGS)
 
 
-def test_a_tower_s_grids_have_the_rungs_as_floors():
-    args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=(TOWER,), rooms=2, runs=1)
+def test_grids_of_a_sequence_have_all_rungs():
+    args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=(SEQUENCE,), rooms=2, runs=1)
     grids = list(make_baseline_grids(load_benchmark("ladder-1"), args))
     assert [(place.rung, place.kind, len(grid.agents)) for place, grid in grids] == [
-        (TOWER, kind, count) for kind, most in (("references", 3), ("learners", 2)) for count in range(1, most + 1)]
+        (SEQUENCE, kind, count) for kind, most in (("references", 3), ("learners", 2)) for count in range(1, most + 1)]
     (place,) = grids[-1][1].make_places()
     assert [floor.name for floor in place.split.test.sets] == [f"ladder-1/{rung}/test#0..2" for rung in RUNGS_OF_TWO]
 

@@ -7,27 +7,18 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 from scipy import stats
 
-from hrl_escape.benchmark.comparison import run_grid
-from hrl_escape.benchmark.launching.local import LocalLauncher
-from hrl_escape.errors import ComparisonError, RunBusyError, UnknownNameError
-from hrl_escape.processes import take_lock
+from hrl_escape.errors import ComparisonError, UnknownNameError
 from studies.__main__ import main
 from studies.scaling import rounds as scaling
 from studies.scaling.difficulty import compute_rank_correlations, tell_difficulty
 from studies.scaling.findings import advise_sizes, tell_certainty, tell_replication, tell_sizes
 from studies.scaling.followed_runs import count_spared, follow_runs, list_bins
-from studies.scaling.results import (
-    RoomKind,
-    ScalingRun,
-    collect_scaling_runs,
-)
+from studies.scaling.results import RoomKind, ScalingRun
 from studies.scaling.rounds import (
     AGENTS,
     SIZES,
@@ -35,13 +26,14 @@ from studies.scaling.rounds import (
     TOLD_TASKS,
     Round,
     choose_options,
+    get_run_folder,
     make_room,
+    run_round,
     run_scaling,
 )
 from studies.scaling.told import HOLDS, advise_told, compute_told_costs, tell_told, tell_too_few
 from studies.store import Store
 from studies.study import find_study
-from tests.benchmark.small import break_checkpoint
 from tests.studies.pages import load, save, tell
 
 
@@ -57,18 +49,8 @@ def make_round(tasks: tuple[RoomKind, ...], agent: str, seed: int) -> Round:
     return Round(tasks, (choose_options(agent),), seed)
 
 
-def make_console() -> Console:
-    return Console(quiet=True)
-
-
-def run_rounds(out: Path, primitives: int, *rounds: Round, **launcher: Any) -> list[ScalingRun]:
-    found = []
-    started = LocalLauncher(**launcher)
-    for round_ in rounds:
-        comparison = run_grid(round_.make_grid(primitives), out, started, make_console())
-        assert not comparison.failures, comparison.failures[0].message
-        found += collect_scaling_runs(comparison, round_.rooms)
-    return found
+def run_rounds(out: Path, primitives: int, *rounds: Round, checkpoint_seconds: float = 30.0) -> list[ScalingRun]:
+    return [run for part in rounds for run in run_round(part, out, primitives, checkpoint_seconds=checkpoint_seconds)]
 
 
 def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
@@ -142,7 +124,7 @@ def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
 
 
 def count_log_bytes(out: Path) -> int:
-    return sum(log.stat().st_size for log in out.glob("runs/*/training/log.jsonl"))
+    return sum(log.stat().st_size for log in out.glob("*/log.jsonl"))
 
 
 def add_tests_to_path() -> dict[str, str]:
@@ -162,11 +144,11 @@ def small_study(monkeypatch):
 @pytest.mark.nightly
 def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, small_study):
     def call(minutes=5.0):
-        return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, make_console(), parts=PARTS))
+        return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, parts=PARTS))
 
     first = call()
     assert [run.buttons for run in first] == [2, 2], "60 primitives are too few, so there is no run with 4 buttons"
-    results = sorted(tmp_path.glob("runs/*/run_result.json"))
+    results = sorted(tmp_path.glob("*/result.json"))
     stamps = [path.stat().st_mtime_ns for path in results]
     results[0].unlink()
     assert call() == first
@@ -175,31 +157,23 @@ def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_pa
 
 @pytest.mark.nightly
 def test_no_run_begins_after_the_time_is_up_and_finished_ones_count(tmp_path, small_study):
-    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console(), parts=PARTS) == []
-    finished = run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
-    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console(), parts=PARTS) == finished
+    assert run_scaling(tmp_path, 1, 60, 1, 0.0, parts=PARTS) == []
+    finished = run_scaling(tmp_path, 1, 60, 1, 5.0, parts=PARTS)
+    assert run_scaling(tmp_path, 1, 60, 1, 0.0, parts=PARTS) == finished
 
 
 def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, monkeypatch):
     monkeypatch.setattr(scaling, "AGENTS", ("smdp-dreamer",))
-    with pytest.raises(Exception, match="smdp-dreamer"):
-        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
+    with pytest.raises(UnknownNameError, match="smdp-dreamer"):
+        run_scaling(tmp_path, 1, 60, 1, 5.0, parts=PARTS)
     monkeypatch.undo()
-    round_ = make_round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
-    (run,) = round_.make_grid(60).make_runs(round_.make_grid(60).make_places())
-    break_checkpoint(tmp_path, run)
-    monkeypatch.setattr(scaling, "BAR_RUNS", 1)
-    monkeypatch.setattr(scaling, "BAR", (RoomKind("chain", 2, "ignore"),))
-    monkeypatch.setattr(scaling, "BAR_AGENT", "smdp-r-max")
-    with pytest.raises(ComparisonError, match="1 runs of scaling--smdp-r-max--0 failed.*checkpoint"):
-        run_scaling(tmp_path, 0, 60, 1, 5.0, make_console(), parts=PARTS)
-
-
-def test_one_study_at_a_time_in_a_folder(tmp_path):
-    with open(tmp_path / "lock", "wb") as lock:
-        assert take_lock(lock)
-        with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
-            run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
+    task = RoomKind("chain", 2, "ignore")
+    round_ = make_round((task,), "smdp-r-max", 0)
+    folder = get_run_folder(tmp_path, round_.rooms[task], round_.agents[0], 0)
+    folder.mkdir(parents=True)
+    (folder / "checkpoint.npz").write_bytes(b"no checkpoint")
+    with pytest.raises(ComparisonError, match="smdp-r-max in RoomKind.*failed: .*checkpoint"):
+        run_rounds(tmp_path, 60, round_)
 
 
 @pytest.mark.nightly

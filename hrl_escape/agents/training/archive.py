@@ -1,4 +1,4 @@
-"""Archives of named parts, each with its size and SHA-256: how runs and submissions are handed on.
+"""Archives of named parts, each with its size and SHA-256: how runs and trained agents are stored.
 
 An archive is a zip of `manifest.json`, with the bytes and SHA-256 of each part, then the parts. Nothing in it is
 compressed and no time is kept: equal parts give equal archives, byte for byte, and no archive unpacks to more than its

@@ -1,9 +1,8 @@
 """Launchers on clusters whose machines share the comparison's folder: Ray, and Slurm through submitit.
 
-Both are optional (extras `ray` and `slurm`). Ray's cluster is found through its own RAY_ADDRESS, and without one Ray is
-started on this machine; where there is no Slurm, submitit runs its jobs as processes of this machine. The process that
-launches does little: it hands Ray the grid once, keeps a bounded number of tasks queued, and takes all results that are
-ready twice a second; Slurm gets static parts of the runs as the jobs of an array.
+Both are optional (extras `ray` and `slurm`). Ray uses the cluster of RAY_ADDRESS, or starts on this machine. Without
+Slurm, submitit runs jobs as local processes. The launching process sends Ray the grid once, keeps a bounded number of
+tasks queued, and collects results twice a second. Slurm gets static parts of the runs as jobs of an array.
 """
 
 from __future__ import annotations
@@ -30,28 +29,28 @@ from hrl_escape.benchmark.launching.local import (
     read_progress,
     report_outcome,
 )
-from hrl_escape.benchmark.runs import RunResult, load_run_result
+from hrl_escape.benchmark.run_results import RunResult, load_run_result
 from hrl_escape.errors import ConfigError, MissingExtraError
 
 MOST_QUEUED = 1_000
-"""Tasks that Ray knows of at a time: enough for a cluster to see what there is to do."""
+"""Number of tasks submitted to Ray at a time."""
 PROGRESS_SECONDS = 5.0
-"""Between looks at the logs of running runs."""
+"""Seconds between reads of the logs of running runs."""
 
 
 @dataclass(frozen=True)
 class RayLauncher:
-    """Ray tasks, by default of one core each, every run in a process of its own."""
+    """Launcher with Ray tasks, by default of one core each, and a process for every run."""
 
-    workers: int | None = None  # cores of a Ray that is started here; None for all. A cluster has its own.
+    workers: int | None = None  # cores of a local Ray, or None for all
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
     resources: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """Options of `ray.remote` for each run, such as `num_cpus`, `num_gpus`, `memory` (bytes), `max_retries` (5: a run
-    whose worker or node is lost goes on from its checkpoint elsewhere) and `max_calls` (1: runs in one process, one
+    whose worker or node is lost resumes from its checkpoint elsewhere) and `max_calls` (1: runs in one process, one
     after another)."""
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
-        """Execute runs of one grid; an interruption cancels the tasks, which can go on another time."""
+        """Execute runs of one grid; an interruption cancels the tasks, which can be resumed later."""
         if not runs:
             return
         ray = _import_extra("ray", "ray", "running a comparison on Ray")
@@ -94,18 +93,18 @@ class RayLauncher:
 
 
 def _list_fields(run: GridRun) -> dict[str, Any]:
-    """Fields of a run beside its grid, which travels once."""
+    """Return the fields of a run without its grid, which is sent once."""
     return {field.name: getattr(run, field.name) for field in dataclasses.fields(run) if field.name != "grid"}
 
 
 def _run_guarded(grid: Grid, fields: Mapping[str, Any], out: Path, checkpoint_seconds: float) -> dict[str, str] | None:
-    from hrl_escape.benchmark.launching.worker import run_guarded  # brings torch in, which only the task needs
+    from hrl_escape.benchmark.launching.worker import run_guarded  # loads torch, which only the task needs
 
     return run_guarded(GridRun(grid, **fields), out, checkpoint_seconds)
 
 
 def _get_outcome(ray: Any, reference: Any) -> tuple[int | None, dict[str, str] | None]:
-    """Exit code of a task and the error that ended its run; no code where its process died for good."""
+    """Return the exit code of a task and the error of its run; the code is None if its process was lost."""
     try:
         return 0, ray.get(reference)
     except ray.exceptions.RayTaskError as error:  # raised before the run: that machine cannot import what it needs
@@ -122,7 +121,7 @@ Errors = dict[str, dict[str, str]]
 
 @dataclass(frozen=True)
 class SlurmLauncher:
-    """Jobs of a Slurm array, each of which makes every n-th run in a folder that all machines share."""
+    """Launcher with a Slurm array of n jobs; each makes every n-th run in a folder that all machines share."""
 
     jobs: int  # number of jobs
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
@@ -135,7 +134,7 @@ class SlurmLauncher:
             raise ConfigError("slurm", self.jobs, "the number of jobs, 1 or more")
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
-        """Execute the runs; an interruption cancels the jobs, and the runs can go on another time."""
+        """Execute the runs; an interruption cancels the jobs, and runs can be resumed later."""
         if not runs:
             return
         executor = _import_submitit().AutoExecutor(folder=out / "slurm")
@@ -164,27 +163,27 @@ class SlurmLauncher:
 
 @dataclass(frozen=True)
 class _Part:
-    """Function of a job; a job that is preempted or out of time is queued again and goes on."""
+    """Function of a job; a preempted or timed-out job is queued again and resumes."""
 
     out: Path
     workers: int
     checkpoint_seconds: float
 
     def __call__(self, runs: Sequence[GridRun]) -> Errors:
-        """Make those runs that are not finished."""
+        """Execute the unfinished runs."""
         listener = _Listener({})
         unfinished = [run for run in runs if load_run_result(self.out, run) is None]
         LocalLauncher(self.workers, self.checkpoint_seconds).run(unfinished, self.out, listener)
         return listener.errors
 
     def checkpoint(self, runs: Sequence[GridRun]) -> Any:
-        """Submission that goes on."""
+        """Return the submission of the resumed job."""
         return _import_submitit().helpers.DelayedSubmission(self, runs)
 
 
 @dataclass(frozen=True)
 class _Listener:
-    """Keeps the errors of failed runs; results travel through files."""
+    """Listener that stores the errors of failed runs; results are files."""
 
     errors: Errors
 
@@ -192,7 +191,7 @@ class _Listener:
         """Keep nothing: the run's folder holds its result."""
 
     def fail(self, failure: Failure) -> None:
-        """Note the message and traceback under the run's folder."""
+        """Store message and traceback by the run's folder."""
         self.errors[failure.run.folder] = {"message": failure.message, "traceback": failure.traceback}
 
     def tick(self, progress: Mapping[str, int]) -> None:
@@ -200,7 +199,7 @@ class _Listener:
 
 
 def _get_errors(job: Any, runs: Sequence[GridRun], out: Path) -> Errors:
-    """Errors of a job's runs; where the job itself was lost, that of each unfinished run."""
+    """Return the errors of a job's runs; a lost job gives an error for each unfinished run."""
     lost = job.exception()
     if lost is None:
         return job.result()

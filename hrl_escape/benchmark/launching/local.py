@@ -1,7 +1,7 @@
-"""Launcher on this machine: runs in parallel, each in a process of its own, with a listener for their outcomes.
+"""Launcher on this machine: parallel runs in separate processes, with a listener for their outcomes.
 
-A run that raises, is killed or crashes its interpreter fails alone. Results travel through files (`runs.py`), so
-nothing is lost with this process. The caller decides which runs are still to be made.
+A run that raises, is killed or crashes its interpreter does not affect others. Results are files (`run_results.py`), so
+they outlive this process.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hrl_escape.benchmark.grid import GridRun
-from hrl_escape.benchmark.runs import RunResult, get_run_folder, get_training_folder, load_run_result
+from hrl_escape.benchmark.run_results import RunResult, get_run_folder, get_training_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError
 
 TICK_SECONDS = 0.5
@@ -32,10 +32,10 @@ THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
 
 @dataclass(frozen=True)
 class Failure:
-    """Run that did not finish."""
+    """Failed run."""
 
     run: GridRun  # the run
-    message: str  # the error, for people
+    message: str  # message of the error
     traceback: str = ""  # its traceback; empty for errors of the package's own
 
 
@@ -43,20 +43,20 @@ class Listener(Protocol):
     """Receiver of the outcomes of runs."""
 
     def finish(self, run: GridRun, result: RunResult) -> None:
-        """Take note of a finished run."""
+        """Receive a finished run."""
         ...
 
     def fail(self, failure: Failure) -> None:
-        """Take note of a failed run."""
+        """Receive a failed run."""
         ...
 
     def tick(self, progress: Mapping[str, int]) -> None:
-        """Called periodically with the primitives of each run under way, by folder."""
+        """Receive the primitives of each running run, by folder, periodically."""
         ...
 
 
 class Launcher(Protocol):
-    """Executes runs, here or on a cluster, and tells a listener what becomes of them."""
+    """Executes runs, locally or on a cluster, and reports to a listener."""
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
         """Execute all runs; return once each has finished or failed."""
@@ -65,17 +65,17 @@ class Launcher(Protocol):
 
 @dataclass(frozen=True)
 class LocalLauncher:
-    """Processes on this machine."""
+    """Launcher with processes on this machine."""
 
-    workers: int | None = None  # runs at a time; None for one a core
+    workers: int | None = None  # runs at a time, or None for one a core
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
-    begin_until: float = math.inf  # `time.monotonic()` after which no further run is begun
+    begin_until: float = math.inf  # `time.monotonic()` after which no run begins
 
     def __post_init__(self) -> None:
-        choose_workers(self.workers)  # a wrong number is refused before anything is begun
+        choose_workers(self.workers)  # raises for a wrong number before any run
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
-        """Execute the runs; an interruption ends their processes, and the runs can go on another time."""
+        """Execute the runs; an interruption ends their processes, and runs can be resumed later."""
         waiting, active = deque(runs), dict[int, tuple[BaseProcess, GridRun, Connection]]()
         workers = choose_workers(self.workers)
         try:
@@ -99,14 +99,14 @@ class LocalLauncher:
 
 
 def get_fork_server() -> ForkServerContext:
-    """Context of processes that are forked from one which has loaded everything heavy, each in milliseconds."""
+    """Return a process context that forks from a server with all heavy imports, in milliseconds."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["hrl_escape.benchmark.launching.worker"])
     return context
 
 
 def _start(run: GridRun, out: Path, checkpoint_seconds: float) -> tuple[BaseProcess, Connection]:
-    """Start a process for a run; it answers through the connection where an error ends it."""
+    """Start the process of a run; it sends an error through the connection."""
     context = get_fork_server()
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(run, out, checkpoint_seconds, sender), daemon=True)
@@ -117,13 +117,13 @@ def _start(run: GridRun, out: Path, checkpoint_seconds: float) -> tuple[BaseProc
 
 
 def _work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
-    from hrl_escape.benchmark.launching.worker import work  # brings torch in, which only the new process needs
+    from hrl_escape.benchmark.launching.worker import work  # loads torch, which only the new process needs
 
     work(run, out, checkpoint_seconds, answer)
 
 
 def _receive(answer: Connection) -> dict[str, str] | None:
-    """Error that a process has sent, if it has sent one."""
+    """Return the error that a process has sent, or None."""
     with answer:
         try:
             return answer.recv()
@@ -133,7 +133,7 @@ def _receive(answer: Connection) -> dict[str, str] | None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Let processes that are started in the body use one thread for each library."""
+    """Set one thread per library for processes that are started in the body."""
     before = {name: os.environ.get(name) for name in THREAD_SETTINGS}
     os.environ.update(dict.fromkeys(THREAD_SETTINGS, "1"))
     try:
@@ -148,7 +148,7 @@ def _one_thread_each() -> Iterator[None]:
 
 def report_outcome(out: Path, run: GridRun, exit_code: int | None, error: dict[str, str] | None,
                    listener: Listener) -> None:
-    """Tell a listener how a run has ended: with a result in its folder, with an error, or by the process's death."""
+    """Report the end of a run to a listener: a result in its folder, an error, or the end of its process."""
     if error is not None:
         listener.fail(Failure(run, **error))
         return
@@ -180,7 +180,7 @@ def _read_tail(path: Path) -> str:
 
 
 def read_progress(out: Path, run: GridRun) -> int:
-    """Primitives a running run has trained for, by the last whole line of its log."""
+    """Return the primitives of a running run, from the last complete line of its log."""
     try:
         with open(get_training_folder(out, run) / "log.jsonl", "rb") as log:
             log.seek(max(0, log.seek(0, os.SEEK_END) - 16_384))
@@ -191,7 +191,11 @@ def read_progress(out: Path, run: GridRun) -> int:
 
 
 def choose_workers(workers: int | None) -> int:
-    """Number of processes to use, one a core by default; `ConfigError` for fewer than one."""
+    """Return the number of processes, one per core by default.
+
+    Raises:
+        ConfigError: it is below one.
+    """
     if workers is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if workers < 1:

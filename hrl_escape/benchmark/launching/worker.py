@@ -1,8 +1,7 @@
-"""Process of one run: one torch thread, its own output file, and no life beyond its parent's.
+"""Process of one run: one torch thread, a file for its output, and an end with its parent.
 
-Everything heavy is imported here, so that a fork server that preloads this module starts each process in milliseconds;
-so are the 800 modules that torch imports with its first optimiser. Numba's tables of types and functions, which the
-first kernel would build in every process, are built here too.
+All heavy modules are imported here, including the 800 modules of torch's first optimiser, so a fork server that
+preloads this module starts a process in milliseconds. Numba's tables of types and functions are built here too.
 """
 
 from __future__ import annotations
@@ -24,26 +23,27 @@ import hrl_escape.agents.training.train
 import hrl_escape.options.best_with_options
 import hrl_escape.options.memory
 import hrl_escape.options.options_env  # noqa: F401  # preloaded, like those above, for the processes forked from here
+from hrl_escape.benchmark.execution import execute_run
 from hrl_escape.benchmark.grid import GridRun
-from hrl_escape.benchmark.runs import execute_run, get_run_folder
+from hrl_escape.benchmark.run_results import get_run_folder
 from hrl_escape.errors import EscapeError, FileWriteError, RunBusyError
 from hrl_escape.files import make_folder, open_for_writing
 from hrl_escape.processes import die_with_parent
 
 NUMBA: Any = cpu_target
-"""Without the type of its cached properties, which pyright does not see through."""
+"""Cast for pyright, which does not resolve its cached properties."""
 NUMBA.typing_context.refresh()
 NUMBA.target_context.refresh()
 
 ORPHAN_SECONDS = 20.0
-"""Longest wait for a process of a killed comparison to let go of its run."""
+"""Longest wait for the lock of a run of a killed comparison, s."""
 MOST_CHARACTERS = 10_000
-"""Longest message and traceback; both go through a pipe that nobody reads before the process ends."""
+"""Longest message and traceback, which have to fit into the buffer of a pipe."""
 
 
 def work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
-    """Run a run in a process of the local launcher, which hears of an error through `answer`."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, and the parent decides
+    """Execute a run in a process of the local launcher; `answer` sends an error to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent also receives Ctrl-C and ends its processes
     die_with_parent()
     folder = get_run_folder(out, run)
     try:
@@ -61,8 +61,8 @@ def work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection)
 
 
 def run_guarded(run: GridRun, out: Path, checkpoint_seconds: float) -> dict[str, str] | None:
-    """Execute a run and return the error that ended it, as `describe_error` has it: a full disk would take no file."""
-    torch.set_num_threads(1)  # the runs fill the cores already, and sums split over threads differ in the last bit
+    """Execute a run and return its error as text, because a file could fail on a full disk."""
+    torch.set_num_threads(1)  # runs already use all cores, and sums over several threads differ in the last bit
     deadline = time.monotonic() + ORPHAN_SECONDS
     while True:
         try:
@@ -77,7 +77,7 @@ def run_guarded(run: GridRun, out: Path, checkpoint_seconds: float) -> dict[str,
 
 
 def describe_error(error: Exception) -> dict[str, str]:
-    """Message of an error, and its traceback where it is not one of the package's own."""
+    """Return the message of an error, with traceback for errors from outside the package."""
     expected = isinstance(error, EscapeError)
     message = str(error) if expected else "".join(traceback.format_exception_only(error)).strip()
     return {

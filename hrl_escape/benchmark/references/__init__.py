@@ -1,1 +1,1 @@
-"""Policies that learn nothing from training, beside the learners of a comparison."""
+"""References: agents without training for comparisons with learners."""

@@ -1,18 +1,17 @@
-"""The references by name, evaluated on the same episodes as the learners, without training.
+"""References by name: agents without training, evaluated on the same episodes as learners.
 
 | name | what it does | what it is given |
 |---|---|---|
 | `sweep` | presses buttons 1, 2, ..., n, leaves, over and over | nothing |
 | `sweep-random` | the same in an order drawn for the episode | nothing |
-| `search-random` | presses what is unlit and untried since the lights last changed, in random order | lights |
-| `search-nearest` | the same, the nearest first | lights, places |
-| `search-backtrack` | the same, and goes back by known presses to where something is untried | lights, places |
-| `bayes` | fewest expected primitives over the graphs that the room configuration can draw | lights, places, room
-configuration | | `oracle` | follows the best known plan | everything |
+| `search-random` | presses buttons that are off and untried since a light last changed, in random order | lights |
+| `search-nearest` | the same, the nearest first | lights, positions |
+| `search-backtrack` | the same, and returns by known presses to a state with untried buttons | lights, positions |
+| `bayes` | minimises expected primitives over the possible graphs | lights, positions, room configuration |
+| `oracle` | follows the best known plan | everything |
 
-A search baseline is given neither the graph nor how rooms are drawn, and starts every episode anew. The Bayes planner,
-`bayes`, is given how rooms are drawn and plans for the fewest expected primitives. A learner that trains in the
-room where it is tested can exceed both, because it keeps what it found.
+Search baselines forget everything at the end of an episode. The Bayes planner is given how rooms are drawn. A learner
+that trains in the room where it is tested can exceed both, because it remembers earlier episodes.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ from hrl_escape.agents.spec import (
 )
 from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
 from hrl_escape.benchmark.references.bayes import BayesPlanner
-from hrl_escape.benchmark.references.by_lights import (
+from hrl_escape.benchmark.references.search import (
     PlanFollower,
     Reference,
     SearchBacktrack,
@@ -48,52 +47,53 @@ _RULES: dict[str, type[Reference]] = {
     SWEEP: Sweep, SWEEP_RANDOM: SweepRandom, SEARCH_RANDOM: SearchRandom, SEARCH_NEAREST: SearchNearest,
     SEARCH_BACKTRACK: SearchBacktrack, BAYES: BayesPlanner, ORACLE: PlanFollower,
 }
-BY_NUMBER = (SWEEP, SWEEP_RANDOM)
-"""References that follow the numbers of one room's options."""
-BY_LIGHTS = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
-"""Search baselines that see what is lit."""
-SEARCH_BASELINES = BY_NUMBER + BY_LIGHTS
-"""References that know neither the dependency graph nor how rooms are drawn."""
+SWEEPS = (SWEEP, SWEEP_RANDOM)
+"""Search baselines that press buttons in the order of their numbers."""
+SEARCHES = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
+"""Search baselines that read which buttons are on."""
+SEARCH_BASELINES = SWEEPS + SEARCHES
+"""References that are given neither the dependency graph nor how rooms are drawn."""
 
 
 def describe_rule(name: str) -> str:
-    """Words on what a reference does, to follow its name and "which"."""
+    """Describe a reference in words that follow its name and "which"."""
     return _RULES[name].RULE
 
 
-class Climber(FixedPolicy):
-    """A reference on every floor of a tower."""
+class SequenceReference(FixedPolicy):
+    """A reference in a sequence of rooms: one player for each room."""
 
-    def __init__(self, name: str, tower: SequenceEnv) -> None:
-        self._tower = tower
-        self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
-                         for floor in tower.parts}
+    def __init__(self, name: str, env: SequenceEnv) -> None:
+        self._env = env
+        self._players = {id(part.unwrapped): make_reference(name, part, find_recorder(part)) for part in env.parts}
         self._last: FixedPolicy | None = None
 
     def act(self, observation: object, action_mask: NDArray[np.bool_]) -> int:
-        """Action of the reference on the present floor."""
+        """Return the action of the player of the current room."""
         return self._find_player().act(observation, action_mask)
 
     def act_greedy(self, observation: object, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Action of the reference on the present floor."""
+        """Return the action of the player of the current room."""
         return self._find_player().act_greedy(observation, action_mask, rng)
 
     def _find_player(self) -> FixedPolicy:
-        """The present floor's; where floors have one rule, it is told what the floor below has taught of it."""
-        player, last = self._players[id(self._tower.unwrapped)], self._last
-        if self._tower.paired and player is not last and isinstance(player, BayesPlanner):
-            is_first = self._tower.unwrapped is self._tower.parts[0].unwrapped
-            player.expect(last.infer_motif() if isinstance(last, BayesPlanner) and not is_first else None)
+        player, last = self._players[id(self._env.unwrapped)], self._last
+        # Rooms of one latent code: the Bayes planner carries its posterior over the code to the next room.
+        if self._env.paired and player is not last and isinstance(player, BayesPlanner):
+            is_first = self._env.unwrapped is self._env.parts[0].unwrapped
+            player.expect(last.infer_code() if isinstance(last, BayesPlanner) and not is_first else None)
         self._last = player
         return player
 
 
 def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:
-    """Make the reference of this name, one of `REFERENCES`.
+    """Make a reference.
 
-    Its environment has options for all but `oracle`. The recorder is around the flat room; of a tower those on its
-    floors count.
+    Args:
+        name: one of `REFERENCES`.
+        env: environment with options, or with primitives for `oracle`.
+        recorder: around the flat room; ignored for a sequence of rooms, whose rooms have recorders of their own.
     """
     if isinstance(env, SequenceEnv) and len(env.parts) > 1:
-        return Climber(name, env)
+        return SequenceReference(name, env)
     return _RULES[name](env, recorder)

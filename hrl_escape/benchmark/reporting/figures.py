@@ -1,4 +1,4 @@
-"""Figures of a comparison as SVG files, for papers and slides: the page's numbers, the same bytes each time."""
+"""Figures of a comparison as reproducible SVG files."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from hrl_escape.figures import STYLE, save_figure
 from hrl_escape.sets.manifest import AxisRecord
 
 GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
-"""Greys, for agents that learn nothing."""
+"""Greys, for agents without training."""
 SPARE = ("#882255", "#999933", "#332288", "#44aa99", "#661100", "#117733")
-"""Colours of Tol (2021) for what the six of `palette.LINES` do not suffice for."""
+"""Colours of Tol (2021), after the six of `palette.LINES`."""
 
 
 class AgentStyle(NamedTuple):
-    """Colour of an agent's line, a darker one for its name, and whether the line is dashed."""
+    """Colour of an agent's line, darker colour of its name, and whether the line is dashed."""
 
     colour: str
     text: str
@@ -37,7 +37,7 @@ class AgentStyle(NamedTuple):
 
 
 def choose_styles(specs: Sequence[AgentSpec]) -> list[AgentStyle]:
-    """Give the flat and the hierarchical form of one algorithm the same colour, and others another."""
+    """Choose colours; flat and hierarchical forms of an algorithm share one."""
     colours: dict[tuple[str, str], str] = {}
     found: list[AgentStyle] = []
     for spec in specs:
@@ -52,12 +52,12 @@ def choose_styles(specs: Sequence[AgentSpec]) -> list[AgentStyle]:
 
 
 def is_level(spec: AgentSpec) -> bool:
-    """Return whether an agent's curve is a level: it learns nothing, and is drawn as a thin line without a band."""
+    """Return whether an agent has no training and is drawn as a thin level line without a band."""
     return spec.is_reference or not spec.learns
 
 
 def _darken(colour: str) -> str:
-    """Dark enough to be read as text on white."""
+    """Darken a colour for text on white."""
     mixed = [round(255 * (0.72 * part + 0.28 * ink)) for part, ink in
              zip(palette.to_rgb(colour), palette.to_rgb(palette.INK), strict=True)]
     return "#{:02x}{:02x}{:02x}".format(*mixed)
@@ -81,13 +81,13 @@ def save_figures(summary: Summary, folder: Path) -> None:
 
 
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Learning curves of a comparison's agents: efficiency against primitives."""
+    """Draw efficiency against primitives for all agents."""
     with matplotlib.rc_context(_STYLE):
         return draw_curves(summarise(comparison), "efficiency", "primitives")
 
 
 def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
-    """Learning curves over all rooms."""
+    """Draw learning curves over all rooms."""
     figure, axes = _make_axes(AXES[against], METRIC_LABELS[metric])
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         x = getattr(agent.curve, against)
@@ -102,7 +102,7 @@ def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
 
 
 def draw_profile(summary: Summary) -> Figure:
-    """Share of runs above each efficiency."""
+    """Draw the share of runs above each efficiency."""
     figure, axes = _make_axes("efficiency", "share of runs above")
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         axes.step(PROFILE, agent.profile, where="post", color=look.colour, linewidth=1.8,
@@ -137,11 +137,11 @@ REFERENCE_NAMES = "random policy", "best search baseline", "Bayes planner"
 class AxisScore(NamedTuple):
     """Result of one agent on one axis."""
 
-    levels: tuple[float | None, ...]  # efficiency on each rung, from easy to hard; None on rungs that it was not run on
+    levels: tuple[float | None, ...]  # efficiency on each rung, from easy to hard, or None for rungs without runs
 
     @property
     def value(self) -> float | None:
-        """Mean over the rungs; None unless it was run on all of them."""
+        """Mean over the rungs, or None unless all have runs."""
         known = [level for level in self.levels if level is not None]
         return float(np.mean(known)) if known and len(known) == len(self.levels) else None
 
@@ -152,22 +152,22 @@ class AxisScore(NamedTuple):
 
 def make_profiles(axes: Sequence[AxisRecord], efficiencies: Mapping[str, Mapping[str, float]]
                   ) -> dict[str, dict[str, AxisScore]]:
-    """Profile of each agent, axis -> score, from its efficiencies by rung; axes on none of these are left out."""
+    """Make the profile of each agent, axis -> score, from its efficiencies by rung."""
     return {agent: {axis.name: AxisScore(tuple(map(known.get, axis.rungs))) for axis in axes
                     if any(rung in known for rung in axis.rungs)} for agent, known in efficiencies.items()}
 
 
 def list_references(references: Mapping[str, RungReferences]) -> dict[str, dict[str, float]]:
-    """Efficiencies of the random policy, of the best search baseline and of the Bayes planner, by rung."""
+    """Return the efficiencies of random policy, best search baseline and Bayes planner, by rung."""
     columns = [{rung: value for rung, own in references.items() if (value := getattr(own, name)) is not None}
                for name in ("random", "search", "bayes")]
     return dict(zip(REFERENCE_NAMES, columns, strict=True)) if references else {}
 
 
 def draw_radar(profiles: Mapping[str, Mapping[str, AxisScore]], axes: Sequence[AxisRecord]) -> Figure:
-    """Radar of profiles by name, a spoke an axis and a closed line an agent, broken at axes that it was not run on.
+    """Draw a radar chart of profiles: a spoke for each axis, a closed line for each agent, references in grey.
 
-    References are grey.
+    Lines are interrupted at axes without runs.
     """
     names = [axis.name for axis in axes]
     angles = np.linspace(0, 2 * math.pi, len(names), endpoint=False)

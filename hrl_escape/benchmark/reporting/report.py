@@ -1,11 +1,9 @@
-"""The report of a comparison: one HTML page that needs no network, beside tables, figures and a Markdown summary.
+"""Report of a comparison: an offline HTML page, tables, figures and a Markdown summary.
 
-The page is `templates/report.html` filled by this module; its scripts draw the charts and play the replays from the
-data inside it, one JSON value: curves, profiles, rooms to draw and episodes to replay. Lengths are metres and angles
-radians, in the room's frame. What the numbers mean is decided in `summary.py` and `verdict.py`.
+This module fills `templates/report.html`. The scripts of the page draw charts and play replays from one JSON value in
+it: curves, profiles, rooms and episodes. Lengths are metres and angles radians, in the room's frame.
 
-`results.csv` and `curves.csv` hold only what learning decides, so two comparisons of the same grid write the same
-bytes; wall-clock times stand apart in `timings.csv`.
+`results.csv` and `curves.csv` are equal for two comparisons of the same grid; wall-clock times are in `timings.csv`.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.inference import Estimate, Pair, is_better
 from hrl_escape.benchmark.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
-from hrl_escape.benchmark.runs import RunResult, get_room_file, get_training_folder, read_episodes
+from hrl_escape.benchmark.run_results import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.benchmark.statistics import compute_iqm, compute_score
 from hrl_escape.benchmark.summary import PROFILE, AgentSummary, Curve, RoomSummary, Summary, summarise
 from hrl_escape.benchmark.verdict import Sentence, find_leader, write_verdict
@@ -48,7 +46,7 @@ _HEADINGS = ("efficiency", "progress", "success", "length")
 
 
 def write_tables(summary: Summary, folder: Path) -> None:
-    """Write `results.csv` (a row a run), `curves.csv` (a row an evaluation), `timings.csv`, and `trials.csv` if any."""
+    """Write `results.csv` (a row per run), `curves.csv` (a row per evaluation), `timings.csv` and `trials.csv`."""
     results, curves, timings, trials = [], [], [], []
     for run, result in summary.runs:
         head = (run.agent.label, run.room, run.place_id, run.seed)
@@ -78,7 +76,7 @@ def write_tables(summary: Summary, folder: Path) -> None:
 
 
 def _describe_reach(result: RunResult) -> tuple[float, float, float | str]:
-    """Best return within reach, fewest primitives known, and fewest within reach; empty where nothing is."""
+    """Return best reachable return, fewest known primitives and fewest reachable ones; empty if unknown."""
     ends = result.score_range
     reach = [fewest for fewest in ends.fewest_reachable if fewest is not None]
     complete = len(reach) == len(ends.fewest_reachable)
@@ -94,7 +92,7 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
 
 
 def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, path: Path) -> None:
-    """Write the verdict and the table of results, ready for a README or an issue."""
+    """Write the verdict and the table of results as Markdown."""
     grid = summary.grid
     lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
     lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
@@ -124,7 +122,7 @@ def _make_line(agent: AgentSummary, are_sets: bool) -> str:
 
 
 def describe_place(place: RunPlace) -> str:
-    """Identity of a room; of a split the numbers of rooms, and how many of the rooms and tasks tested in are known."""
+    """Describe a room by its id, or a split by numbers of rooms and overlaps with training."""
     if place.split is None:
         return f"instance `{place.id}`"
     split = place.split
@@ -133,7 +131,7 @@ def describe_place(place: RunPlace) -> str:
 
 
 def format_first_escape(agent: AgentSummary) -> str:
-    """`1,234 (8 of 8 runs)`: restricted mean of the primitives to the first escape; none for references."""
+    """Format the restricted mean of primitives to the first escape, as `1,234 (8 of 8 runs)`; empty for references."""
     if agent.spec.is_reference:
         return "no training"
     return f"{agent.first_escape.value:,.0f} ({agent.escaped_runs} of {agent.runs})"
@@ -149,11 +147,11 @@ def write_report(comparison: Comparison, command: str) -> Summary:
     """Write `report.html`, `summary.md`, `results.csv`, `curves.csv`, `timings.csv` and `figures/`.
 
     Args:
-        comparison: what was run; its folder takes the files.
-        command: the command that makes it again.
+        comparison: the comparison; its folder takes the files.
+        command: command that reproduces it.
 
     Returns:
-        What the runs amount to.
+        The summary.
 
     Raises:
         ComparisonError: no run has finished.
@@ -177,7 +175,7 @@ class _Entry(NamedTuple):
 
 
 def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
-    """The page as text."""
+    """Return the page as HTML."""
     looks = choose_styles([agent.spec for agent in summary.agents])
     entries = [_Entry(agent, look, _make_chip(agent, look)) for agent, look in zip(summary.agents, looks, strict=True)]
     chips = {entry.agent.label: entry.chip for entry in entries}
@@ -231,7 +229,7 @@ def _make_chip(agent: AgentSummary, look: AgentStyle) -> Markup:
 
 
 def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
-    """Escape a sentence and put agents' chips where their labels stand between backticks."""
+    """Escape a sentence and replace labels between backticks by chips."""
     parts = re.split(r"`([^`]*)`", text)
     return Markup("").join(
         chips.get(part, Markup("<code>{}</code>").format(part)) if number % 2 else escape(part)
@@ -240,7 +238,7 @@ def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
 
 
 def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
-    """The commands that show a replay's run in 3D: with what it thinks, and as a page that plays offline."""
+    """Return the commands that show the run of a replay in 3D, live and as an offline page."""
     place = comparison.places[replay["room"]]
     run = next(run for run, _ in comparison.runs if (run.agent.label, run.place_id, run.seed)
                == (replay["agent"], place.id, replay["seed"]))
@@ -252,7 +250,7 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
 
 
 def describe_kind(spec: AgentSpec) -> str:
-    """Describe what an agent chooses among: `options only, with ancestors`."""
+    """Describe the actions of an agent, such as `options only, with ancestors`."""
     if spec.low_level is not None:
         actions = f"synthesised hierarchy, {spec.low_level} low level; privileged: {', '.join(spec.privileges)}"
     elif not spec.chooses_options:
@@ -268,13 +266,13 @@ def describe_kind(spec: AgentSpec) -> str:
 
 
 def _place_bar(estimate: Estimate) -> str:
-    """Style of the bar from an interval's lower to its upper end, on a scale from 0 to 1."""
+    """Return the style of an interval's bar on a scale from 0 to 1."""
     low, high = (100 * min(max(end, 0.0), 1.0) for end in (estimate.low, estimate.high))
     return f"left:{min(low, 99):.2f}%;width:{max(high - low, 0):.2f}%"
 
 
 class _Cell(NamedTuple):
-    """Cell of a table whose colour tells its number."""
+    """Make a table cell coloured by its number."""
 
     text: str
     style: str = ""
@@ -282,7 +280,7 @@ class _Cell(NamedTuple):
 
 
 def _list_room_cells(summary: Summary, agent: AgentSummary) -> list[_Cell]:
-    """An agent's efficiency in each room."""
+    """Make the cells of an agent's efficiency in each room."""
     cells = []
     for room, scores in zip(summary.rooms, agent.efficiencies, strict=True):
         if not len(scores):
@@ -296,7 +294,7 @@ def _list_room_cells(summary: Summary, agent: AgentSummary) -> list[_Cell]:
 
 
 def _list_odds_cells(summary: Summary, number: int) -> list[_Cell]:
-    """Share of pairs in which an agent, by its number, is above each."""
+    """Make the cells of the shares of pairs in which an agent is above each other agent."""
     first = summary.agents[number]
     return [_Cell("") if first is second else _make_odds_cell(first, second, pair)
             for second, pair in zip(summary.agents, summary.pairs[number], strict=True)]
@@ -368,10 +366,10 @@ def make_page_data(summary: Summary, entries: Sequence[_Entry], replays: Sequenc
 
 
 def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
-    """The best and the median of the last evaluation's episodes, of each agent in each room, over all its runs.
+    """Return the best and the median final episode of each agent in each room, over all runs.
 
-    They are as `record_episode` gives them, with `agent`, `room` (index), `seed`, `episode` and `kinds`: `best`,
-    `median`, or both where they are the same. The median of an even number is the better of the two in the middle.
+    Episodes have the form of `record_episode`, with `agent`, `room` (index), `seed`, `episode` and `kinds`: `best`,
+    `median` or both. The median of an even number is the better of the middle two.
     """
     chosen = []
     for number, spec in enumerate(comparison.grid.agents):
@@ -383,7 +381,7 @@ def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
             ]
             if not episodes:
                 continue
-            episodes.sort(key=lambda episode: -episode["return"])  # stable: equal ones stay in order of seeds
+            episodes.sort(key=lambda episode: -episode["return"])  # stable: equal episodes keep the order of seeds
             best, median = episodes[0], episodes[(len(episodes) - 1) // 2]
             if best["return"] == median["return"]:
                 chosen.append({**best, "kinds": [BEST, MEDIAN]})

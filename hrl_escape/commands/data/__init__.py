@@ -1,1 +1,1 @@
-"""Data sets of decisions: record them, list them, look at one, write it in the form of Minari or OGBench."""
+"""Data sets: record, list, show, and export to Minari or OGBench."""

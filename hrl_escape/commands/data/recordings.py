@@ -26,7 +26,7 @@ class ExportArgs:
     name: Annotated[str, tyro.conf.Positional]
     """Data set, or the path of a recording."""
     to: Literal["minari", "ogbench"] = "ogbench"
-    """Form: Minari's two sets, or OGBench's two files."""
+    """Format: Minari's two data sets, or OGBench's two files."""
     level: Literal["decisions", "primitives"] = "decisions"
     """Rows of OGBench's files; Minari gets both."""
     observation: str = "features"
@@ -36,7 +36,7 @@ class ExportArgs:
 
 
 def run_export(args: ExportArgs) -> None:
-    """Write a data set in the form of another library: Minari's (extra `data`) or OGBench's.
+    """Export a data set to Minari (extra `data`) or OGBench.
 
     Examples:
         hrl-escape data export pair-play-v1 --to ogbench --out exported
@@ -60,15 +60,15 @@ class DataListArgs:
     """Options of `hrl-escape data list`."""
 
     rung: str | None = None
-    """Show this rung's alone."""
+    """Show only this rung."""
     json: bool = False
     """Print JSON instead of a table."""
 
 
 def run_list(args: DataListArgs) -> None:
-    """List the data sets of the catalogue: what behaved, how much, what it reached, and whether a recording is here.
+    """List the data sets of the catalogue: behaviour, size, scores, and whether they are recorded here.
 
-    Of a recording that is here it tells what that holds, of another what is published.
+    The values of a data set that is not recorded here are the published ones.
 
     Examples:
         hrl-escape data list
@@ -116,15 +116,15 @@ class MakeArgs:
     """Options of `hrl-escape data make`."""
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Data sets of the catalogue, see `hrl-escape data list`; with --played the name of yours."""
+    """Data sets of the catalogue, see `hrl-escape data list`; with --played the name of the new one."""
     out: Path = FOLDER
     """Folder of the recordings; `train --data NAME` looks into `data`."""
     primitives: int | None = None
-    """Another number of primitives than the name says, for a trial."""
+    """Number of primitives of a trial; by default the number of the name."""
     room: str | None = None
-    """With --played: the rooms that were played, such as paper-two-button or ladder-1/pair/train#0..4."""
+    """With --played: rooms of the episodes, such as paper-two-button or ladder-1/pair/train#0..4."""
     played: tuple[Path, ...] = ()
-    """Episodes saved by `hrl-escape play`, to make a data set of."""
+    """Episodes saved by `hrl-escape play`, for a data set of your own play."""
 
     @classmethod
     def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
@@ -133,13 +133,12 @@ class MakeArgs:
 
 
 def run_make(args: MakeArgs) -> None:
-    """Record data sets of six kinds of behaviour in the training rooms of a rung, or make one of your own play.
+    """Record data sets of six kinds of behaviour in the training rooms of a rung, or make one from your own play.
 
-    The kinds are play, noisy, expert, medium, stitch and explore. A recording of 10^5 primitives takes some ten seconds
-    to a minute, 20 to 120 kB on disk, and replays to the bit. A recording that was killed goes on where it was. A
-    recording of the size that its name says is held against the published recording: one that differs is kept as
-    NAME.other.npz, and
-    is an error, but for medium, whose network another processor or version of torch may train otherwise.
+    The kinds are play, noisy, expert, medium, stitch and explore. A recording of 10^5 primitives takes ten seconds to a
+    minute and 20 to 120 kB, and replays exactly. A stopped recording resumes. A full-size recording is compared with
+    the published one. If it differs, it is written as NAME.other.npz and the command fails, except for medium, whose
+    network depends on processor and torch version.
 
     Examples:
         hrl-escape data make pair-play-1m-v1
@@ -192,7 +191,7 @@ class DataShowArgs:
 
 
 def run_show(args: DataShowArgs) -> None:
-    """Show the card of a data set: what it is, how it was made, its scores with references, and a picture if asked.
+    """Show the card of a data set: origin, size, scores with references, and optionally a picture.
 
     Examples:
         hrl-escape data show pair-play-v1

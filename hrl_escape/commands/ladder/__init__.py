@@ -1,1 +1,1 @@
-"""Benchmark sets of rooms, rung by rung: list them, look at them, verify them."""
+"""Benchmarks: list, show, verify and run rungs."""

@@ -1,17 +1,20 @@
-"""Run agents on rungs under a protocol, and report each rung: the same comparison as `hrl-escape compare`.
+"""Run agents on the rungs of a benchmark under a protocol, and report each rung.
 
-per-instance learns each test room from nothing; generalise learns in training rooms and is tested in others; transfer
-learns in training rooms of one rung and is tested, without learning, in rooms of another; few-shot is generalise with
-several trials in each room, through which memories last; tower has a room of every rung in an episode, one after
-another, within one horizon.
-Finished runs are kept: the same command goes on where it was stopped. `hrl-escape ladder report` sums up the rungs.
+Protocols:
+    per-instance  train from scratch in each test room
+    generalise    train in training rooms, test in others
+    transfer      train in training rooms of one rung, test in rooms of another, without learning
+    few-shot      as generalise, with several trials in each room; memories persist across trials
+    sequence      a room of every rung in an episode, one after another, within one horizon
+
+Finished runs are kept; the same command resumes. `hrl-escape ladder report` summarises the rungs.
 
 Examples:
     hrl-escape ladder run smdp-dqn random-options oracle --rung doormat pair --protocol per-instance --runs 3
     hrl-escape ladder run smdp-ppo+objects+memory oracle --rung lattice --protocol generalise --train-sizes 1 16 64
     hrl-escape ladder run smdp-dqn+objects+memory bayes --protocol transfer --from chain --rung lattice-5
     hrl-escape ladder run smdp-dqn+objects+memory random-options oracle --protocol few-shot --trials 4 --rung chain
-    hrl-escape ladder run smdp-ppo+objects+memory random-options oracle --protocol tower
+    hrl-escape ladder run smdp-ppo+objects+memory random-options oracle --protocol sequence
     hrl-escape ladder run smdp-dqn oracle --rung chain lattice --out /shared/ladder --shard 3/8
 """
 
@@ -31,20 +34,18 @@ from rich.table import Table
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import read_comparison
 from hrl_escape.benchmark.protocols import (
-    TOWER,
+    SEQUENCE,
     LadderSettings,
     Protocol,
-    RungStanding,
-    choose_floors,
-    list_standings,
+    choose_sequence,
     make_protocol_grid,
-    make_tower_grid,
+    make_sequence_grid,
     name_protocol,
-    score_standings,
 )
 from hrl_escape.benchmark.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
 from hrl_escape.benchmark.reporting.report import write_report
 from hrl_escape.benchmark.rung_references import load_references
+from hrl_escape.benchmark.standings import RungStanding, list_standings, score_standings
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.commands.compare import LaunchArgs
 from hrl_escape.commands.room_choice import refuse_options
@@ -54,10 +55,10 @@ from hrl_escape.names import join_words, make_file_name
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 
 FROM = {"word": "from"}
-"""Word on the command line of a field whose name Python reserves."""
-PROTOCOLS_OF = {"train_sizes": ("generalise", "transfer", "few-shot", "tower"), "trials": ("few-shot",),
-                "floors": ("tower",)}
-"""Options that some protocols alone have, and these protocols."""
+"""Command-line name of `source`, because `from` is reserved in Python."""
+PROTOCOLS_OF = {"train_sizes": ("generalise", "transfer", "few-shot", "sequence"), "trials": ("few-shot",),
+                "repeats": ("sequence",)}
+"""Options of some protocols only."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,9 +69,9 @@ class RunArgs(LadderSettings, LaunchArgs):
     """Specs of agents, and references: smdp-dqn, smdp-ppo+objects+memory, search-backtrack, oracle; `hrl-escape list`
     names them."""
     rung: tuple[str, ...] = ()
-    """Names of rungs; all by default, in a tower those with the same primitives."""
+    """Names of rungs; all by default; with the protocol sequence, those with the same primitives."""
     protocol: Protocol = "per-instance"
-    """per-instance, generalise, transfer, few-shot or tower."""
+    """per-instance, generalise, transfer, few-shot or sequence."""
     source: Annotated[str | None, tyro.conf.arg(name="from")] = dataclasses.field(default=None, metadata=FROM)
     """Rung to train on with transfer."""
     benchmark: str = "ladder-1"
@@ -79,13 +80,13 @@ class RunArgs(LadderSettings, LaunchArgs):
     """Folder of all rungs and protocols; runs/ and the benchmark's name by default."""
 
     def format_command(self, rungs: Sequence[str]) -> str:
-        """The command line that runs these rungs again."""
+        """Return the command line that reproduces these rungs."""
         return shlex.join(["hrl-escape", "ladder", "run", *self.agents, "--rung", *rungs,
                            *self.format_options("agents", "rung")])
 
 
 def find_default_folder(bench: Benchmark) -> Path:
-    """Folder of a benchmark's runs: no other command writes there."""
+    """Return the default folder of a benchmark's runs."""
     return Path("runs") / make_file_name(bench.name)
 
 
@@ -99,11 +100,12 @@ def run(args: RunArgs) -> int:
     agents = tuple(map(AgentSpec.parse, args.agents))
     console, failed = Console(soft_wrap=True, highlight=False), 0
     rungs = args.rung or tuple(rung.name for rung in bench)
-    if args.protocol == TOWER:
-        floors = args.rung or choose_floors(bench)
-        if left_out := [rung for rung in rungs if rung not in floors]:
-            console.print(f"Left out of the tower, as their robots have other primitives: {', '.join(left_out)}")
-        parts = {TOWER: (floors, make_tower_grid(bench, floors, agents, args))}
+    if args.protocol == SEQUENCE:
+        chosen = args.rung or choose_sequence(bench)
+        if left_out := [rung for rung in rungs if rung not in chosen]:
+            console.print("Left out of the sequence, because their robots have other primitives: "
+                          f"{', '.join(left_out)}")
+        parts = {SEQUENCE: (chosen, make_sequence_grid(bench, chosen, agents, args))}
     else:
         parts = {rung: ((rung,), make_protocol_grid(bench, rung, args.protocol, agents, args)) for rung in rungs}
     folder = (args.out or find_default_folder(bench)) / name_protocol(args.protocol, args.source)
@@ -130,9 +132,9 @@ class ReportArgs:
     folder: Annotated[Path | None, tyro.conf.Positional] = None
     """Folder given to `hrl-escape ladder run --out`; runs/ and the benchmark's name by default."""
     protocol: Protocol = "per-instance"
-    """Protocol to sum up."""
+    """Protocol to summarise."""
     source: Annotated[str | None, tyro.conf.arg(name="from")] = None
-    """Rung that was trained on, with transfer."""
+    """Training rung, with transfer."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     json: bool = False
@@ -140,25 +142,25 @@ class ReportArgs:
 
 
 def run_report(args: ReportArgs) -> None:
-    """Sum up what `hrl-escape ladder run` has finished: efficiency and escapes of every agent on every rung.
+    """Summarise the finished runs of `hrl-escape ladder run`: efficiency and success rate of every agent on every rung.
 
-    A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more. The
-    ladder score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every agent was run
-    on. The learned share is 0 for the best search baseline, such as search-backtrack, and 1 for the Bayes planner,
-    bayes, which is given how rooms are drawn: run both as well as the learners.
+    A rung is passed if the lower end of the 95 % interval of the success rate is at least 0.9 and efficiency at least
+    0.5. The ladder score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every
+    agent was run on. The learned share is 0 for the best search baseline, such as search-backtrack, and 1 for the Bayes
+    planner; it requires runs of both.
 
-    A benchmark with axes, such as ladder-2, gives a profile besides: a table of efficiency by axis, with its
-    references, and a radar, profile.svg in the protocol's folder.
+    A benchmark with axes, such as ladder-2, also gives a profile: a table of efficiency by axis, with its references,
+    and a radar chart, profile.svg in the protocol's folder.
 
     Examples:
         hrl-escape ladder report
         hrl-escape ladder report --protocol generalise --json
         hrl-escape ladder report --protocol transfer --from chain
-        hrl-escape ladder report runs/mine --protocol tower
+        hrl-escape ladder report runs/mine --protocol sequence
         hrl-escape ladder report --benchmark ladder-2
     """
     bench = load_benchmark(args.benchmark)
-    rungs = [TOWER] if args.protocol == TOWER else [rung.name for rung in bench]
+    rungs = [SEQUENCE] if args.protocol == SEQUENCE else [rung.name for rung in bench]
     base = (args.folder or find_default_folder(bench)) / name_protocol(args.protocol, args.source)
     folders = {rung: base / rung for rung in rungs}
     found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
@@ -178,7 +180,7 @@ def run_report(args: ReportArgs) -> None:
     console = Console(width=120, highlight=False)
     table = Table("rung", "agent", "runs", "efficiency", "learned", "trained in", "success rate", "passed",
                   "core hours",
-                  *(("floors climbed",) if args.protocol == TOWER else ()), box=None, pad_edge=False)
+                  *(("rooms escaped",) if args.protocol == SEQUENCE else ()), box=None, pad_edge=False)
     for standing in standings:
         agent = standing.agent
         table.add_row(
@@ -187,7 +189,7 @@ def run_report(args: ReportArgs) -> None:
             "" if standing.learned is None else f"{standing.learned:.2f}",
             "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{standing.success_rate:.0%}",
             "yes" if standing.is_passed else "no", f"{_count_hours(standing):.2g}",
-            *([f"{_count_floors(standing):.2f} of {standing.floors}"] if args.protocol == TOWER else []))
+            *([f"{_count_rooms(standing):.2f} of {standing.parts}"] if args.protocol == SEQUENCE else []))
     console.print(table)
     if any(standing.agent.trials for standing in standings):
         console.print(_make_trial_table(standings))
@@ -202,7 +204,7 @@ def run_report(args: ReportArgs) -> None:
 
 
 def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[str, dict[str, AxisScore]]:
-    """Profiles of the agents, then of the benchmark's references; empty where it has no axes."""
+    """Make profiles of agents and references; empty for a benchmark without axes."""
     found: dict[str, dict[str, float]] = {}
     for standing in standings:
         found.setdefault(standing.agent.label, {})[standing.rung] = standing.agent.efficiency.value
@@ -211,7 +213,7 @@ def _make_profiles(bench: Benchmark, standings: Sequence[RungStanding]) -> dict[
 
 
 def _tell_profiles(console: Console, bench: Benchmark, profiles: dict[str, dict[str, AxisScore]], path: Path) -> None:
-    """Print a row an axis, each rung in parentheses, and draw the radar."""
+    """Print a row for each axis, and draw the radar chart."""
     axes = bench.manifest.axes
     table = Table("axis", *profiles, box=None, pad_edge=False)
     for axis in axes:
@@ -231,13 +233,13 @@ def _count_hours(standing: RungStanding) -> float:
     return standing.agent.seconds * standing.agent.runs / 3600
 
 
-def _count_floors(standing: RungStanding) -> float:
-    """Floors of a tower climbed, on average."""
-    return standing.success_rate.value * standing.floors
+def _count_rooms(standing: RungStanding) -> float:
+    """Mean number of rooms of a sequence that the agent escaped from."""
+    return standing.success_rate.value * standing.parts
 
 
 def _make_trial_table(standings: Sequence[RungStanding]) -> Table:
-    """Efficiency trial by trial, a row an agent and rung."""
+    """Make the table of efficiency by trial, a row for each agent and rung."""
     most = max(len(standing.agent.trials) for standing in standings)
     table = Table("rung", "agent", *(f"trial {number}" for number in range(1, most + 1)), box=None, pad_edge=False)
     for standing in standings:
@@ -252,5 +254,4 @@ def _to_json(standing: RungStanding) -> dict[str, object]:
             "success_rate": standing.success_rate, "passed": standing.is_passed, "learned": standing.learned,
             "core_hours": _count_hours(standing),
             "trials": [trial._asdict() for trial in agent.trials],
-            **({"floors": standing.floors, "climbed": _count_floors(standing)}
-               if standing.floors > 1 else {})}
+            **({"rooms": standing.parts, "rooms_escaped": _count_rooms(standing)} if standing.parts > 1 else {})}

@@ -1,4 +1,4 @@
-"""Commands on the rungs of a benchmark."""
+"""Commands for the rungs of a benchmark."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class LadderListArgs:
 
 
 def run_list(args: LadderListArgs) -> None:
-    """List the rungs of a benchmark: rooms, what each rung asks for, the size of its sets, and what training costs.
+    """List the rungs of a benchmark: rooms, required ability, sizes of sets, and training cost.
 
-    Core hours are those of smdp-dqn by published rates, with ten seeds in each of ten test rooms (protocol
-    per-instance); the other protocols take a tenth for each number of training rooms. `hrl-escape ladder run --dry-run`
-    prints any other. Where references were measured they follow: efficiency of random options, of the best search
-    baseline and of the Bayes planner, bayes, and how many bits of the hidden graph marks and places reveal.
+    Core hours are estimates for smdp-dqn by published rates, with ten seeds in each of ten test rooms (protocol
+    per-instance). Other protocols take a tenth for each number of training rooms; `hrl-escape ladder run --dry-run`
+    prints other estimates. Reference efficiencies follow if measured: random options, best search baseline and Bayes
+    planner, and the bits of the graph that cues and positions reveal.
 
     Examples:
         hrl-escape ladder list
@@ -91,7 +91,7 @@ class ShowArgs:
     """Options of `hrl-escape ladder show`."""
 
     rung: Annotated[str, tyro.conf.Positional]
-    """Name of the rung, the benchmark's before it where it is another: marks-1/told."""
+    """Name of the rung, with another benchmark in front: marks-1/told."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     role: Role = "train"
@@ -107,7 +107,7 @@ class ShowArgs:
 
 
 def run_show(args: ShowArgs) -> None:
-    """Show a rung: its configuration, its sets and their roots; draw or save one of its rooms.
+    """Show a rung: configuration, sets and their roots; draw or save one of its rooms.
 
     Examples:
         hrl-escape ladder show lattice
@@ -173,9 +173,9 @@ class VerifyArgs:
 
 
 def run_verify(args: VerifyArgs) -> None:
-    """Generate a benchmark's rooms anew and check that they are those of the manifest, and that no set shares a room.
+    """Generate the rooms of a benchmark and verify them against the manifest and each other.
 
-    A rung takes a few seconds, those with many obstacles up to a minute.
+    A rung takes a few seconds, or up to a minute with many obstacles.
 
     Examples:
         hrl-escape ladder verify

@@ -26,7 +26,7 @@ class PackArgs:
 
 
 def run_pack(args: PackArgs) -> None:
-    """Pack a run's folder into one file that can be moved and handed on.
+    """Pack a run's folder into one archive.
 
     Example:
         hrl-escape run pack runs/smdp-dqn-paper-two-button-0-5a1d3f0c --out mine.zip
@@ -48,7 +48,7 @@ class ShowRunArgs:
 
 
 def run_show(args: ShowRunArgs) -> None:
-    """Show what a run's folder or archive holds, and which code it would run, without running any.
+    """Show the contents of a run's folder or archive and the code that it would import, without importing it.
 
     Example:
         hrl-escape run show mine.zip
@@ -84,7 +84,7 @@ class UnpackArgs:
 
 
 def run_unpack(args: UnpackArgs) -> None:
-    """Unpack a run's archive into a folder; every part is checked against its hash, and no code is run.
+    """Unpack a run's archive into a folder; checks every hash and runs no code.
 
     Example:
         hrl-escape run unpack mine.zip --out runs/mine

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import random
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -19,6 +19,8 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 Edges = tuple[tuple[int, int], ...]
+EdgeSet = frozenset[tuple[int, int]]
+"""Edges of a dependency graph, (parent, child)."""
 
 GraphKind = Literal["chain", "tree", "layered", "random", "larg-2019", "edges"]
 ButtonNumber = Annotated[int, Range(0, 63)]
@@ -194,3 +196,27 @@ def _sample_as_python2(population: list[int], number: int, uniform: Callable[[],
         chosen.append(pool[j])
         pool[j] = pool[size - i - 1]
     return chosen
+
+
+def find_target_edges(graph: EdgeSet, places: Sequence[int]) -> EdgeSet:
+    """Translate a graph over components of the observation into one over targets.
+
+    Args:
+        graph: (parent, child) pairs of components; see `Agent.get_graph`.
+        places: component of each target's light; see `Observer.light_places`.
+    """
+    targets = {place: target for target, place in enumerate(places)}
+    return frozenset((targets[parent], targets[child]) for parent, child in graph
+                     if parent in targets and child in targets)
+
+
+def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:
+    """Return the edges of a graph that change which orders of presses reach the goals.
+
+    These are the edges among the ancestors of the goals that no longer path implies. With a before b and b before c,
+    an edge from a to c changes nothing. The graph may have cycles.
+    """
+    every = set(edges)
+    ancestors = find_ancestors(every, goals)
+    kept = {(parent, child) for parent, child in every if child in ancestors}
+    return frozenset(edge for edge in kept if edge[0] not in find_ancestors(kept - {edge}, [edge[1]]))

@@ -15,9 +15,9 @@ import numpy as np
 from markupsafe import Markup
 
 from hrl_escape.benchmark.episodes import PrimitiveStep
-from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.pictures import palette
+from hrl_escape.env.puzzles.graphs import find_edges_that_matter
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.meta_actions import PlannedOption

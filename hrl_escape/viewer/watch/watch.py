@@ -22,11 +22,11 @@ from hrl_escape.agents.seam import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.episodes import PrimitiveStep
-from hrl_escape.benchmark.references.by_lights import SearchBaseline
-from hrl_escape.benchmark.solved_probe import find_target_edges
+from hrl_escape.benchmark.references.search import SearchBaseline
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.noise import check_seed
+from hrl_escape.env.puzzles.graphs import find_target_edges
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.option import Option

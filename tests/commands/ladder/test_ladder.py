@@ -44,8 +44,8 @@ def test_a_rung_is_known_by_the_name_that_other_commands_give_it(capsys):
 
 
 @pytest.mark.parametrize(("protocol", "option", "value", "suits"), [
-    ("per-instance", "--train-sizes", "4", "generalise, transfer, few-shot or tower"),
-    ("generalise", "--trials", "3", "few-shot"), ("few-shot", "--floors", "2", "tower")])
+    ("per-instance", "--train-sizes", "4", "generalise, transfer, few-shot or sequence"),
+    ("generalise", "--trials", "3", "few-shot"), ("few-shot", "--repeats", "2", "sequence")])
 def test_an_option_of_other_protocols_is_refused(capsys, protocol, option, value, suits):
     code, _, err = call(capsys, "run", "oracle", "--rung", "pair", "--protocol", protocol, option, value, "--dry-run")
     assert code == 2 and err.count("\n") == 1
@@ -94,7 +94,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", "random-options", "oracle", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
-    assert err.startswith("nothing learns, so nothing is trained\n")
+    assert err.startswith("no agent is trained\n")
     code, out, err = call(capsys, "run", "random-options", "oracle", *options)
     assert code == 0 and "2 of 2 runs were finished before" in err
     assert (tmp_path / "generalise" / "doormat" / "report.html").exists()
@@ -140,7 +140,7 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("option", ["rooms", "primitives", "runs", "eval-episodes"])
-@pytest.mark.parametrize("rungs", [["pair"], ["pair", "chain", "--protocol", "tower"]], ids=len)
+@pytest.mark.parametrize("rungs", [["pair"], ["pair", "chain", "--protocol", "sequence"]], ids=len)
 def test_no_rooms_runs_primitives_or_episodes_are_refused(capsys, option, rungs):
     code, out, err = call(capsys, "run", "oracle", "--rung", *rungs, f"--{option}", "0", "--dry-run")
     assert code == 2 and out == "" and f"{option.replace('-', '_')} = 0 is not possible" in err
@@ -166,7 +166,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     options = ["run", "random-options", "oracle", "--rung", "doormat", "--rooms", "1", "--runs", "1",
                "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     told = call(capsys, *options, "--dry-run")[1]
-    assert "doormat: 2 runs, 2 to be made" in told and "nothing learns, so nothing is trained" in told
+    assert "doormat: 2 runs, 2 to be made" in told and "no agent is trained" in told
     code, out, _ = call(capsys, *options, "--shard", "2/2")
     assert code == 0 and "doormat: 1 runs finished" in out
     code, out, _ = call(capsys, *options, "--report")
@@ -217,51 +217,52 @@ def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
 @pytest.mark.parametrize(("agents", "rooms", "trained"), [
     (["random-options", "oracle"], 1, 1),
     pytest.param(["random-options", "smdp-dqn+objects+memory", "oracle"], 2, 3, marks=pytest.mark.slow)])
-def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path, agents, rooms, trained):
+def test_the_oracle_escapes_a_sequence_of_rooms_and_a_random_policy_does_not(capsys, tmp_path, agents, rooms, trained):
     make_manifest().save(tmp_path / "mine.json")
-    options = ["--protocol", "tower", "--benchmark", str(tmp_path / "mine.json"), "--rooms", str(rooms),
+    options = ["--protocol", "sequence", "--benchmark", str(tmp_path / "mine.json"), "--rooms", str(rooms),
                "--train-sizes", str(trained), "--runs", "1", "--primitives", "10", "--workers", "1", "--out",
                str(tmp_path)]
     code, out, err = call(capsys, "run", *agents, *options)
-    assert code == 0 and f"tower: {len(agents)} runs finished, 0 failed" in out, err
+    assert code == 0 and f"sequence: {len(agents)} runs finished, 0 failed" in out, err
     code, out, _ = call(capsys, "report", str(tmp_path), *options[:4], "--json")
     rows = {row["agent"]: row for row in json.loads(out)["rungs"]}
     planner, chance = rows["oracle"], rows[agents[0]]
-    assert code == 0 and planner["floors"] == planner["climbed"] == 2 and planner["efficiency"]["value"] == 1.0
+    assert code == 0 and planner["rooms"] == planner["rooms_escaped"] == 2 and planner["efficiency"]["value"] == 1.0
     assert chance["efficiency"]["value"] < 0.5
     assert all(0 <= rows[learner]["seen"]["value"] <= 1 for learner in agents[1:-1])
     out = call(capsys, "report", str(tmp_path), *options[:4])[1]
-    assert "2.00 of 2" in out and "Ladder score over tower:" in out
-    (place,) = read_comparison(tmp_path / "tower" / "tower").places
+    assert "2.00 of 2" in out and "Ladder score over sequence:" in out
+    (place,) = read_comparison(tmp_path / "sequence" / "sequence").places
     assert [len(floor) for floor in place.split.train.sets] == [trained, trained]
     assert len(place.split.test) == 2 * rooms
     assert place.split.room_overlap == 0 and place.instance.horizon == SEQUENCE_HORIZON
-    command = (tmp_path / "tower" / "tower" / "summary.md").read_text()
+    command = (tmp_path / "sequence" / "sequence" / "summary.md").read_text()
     assert (f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --runs 1 --primitives 10 "
-            f"--rooms {rooms} --train-sizes {trained} --protocol tower") in command
+            f"--rooms {rooms} --train-sizes {trained} --protocol sequence") in command
 
 
-def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path):
+def test_an_impossible_sequence_of_rooms_is_refused_in_one_line(capsys, tmp_path):
     def refuse(*words: str) -> str:
-        code, _, err = call(capsys, "run", *words, "--protocol", "tower", "--out", str(tmp_path))
+        code, _, err = call(capsys, "run", *words, "--protocol", "sequence", "--out", str(tmp_path))
         assert code == 2 and err.count("\n") == 1
         return err
 
     assert "two or more" in refuse("oracle", "--rung", "pair")
     assert "each once" in refuse("oracle", "--rung", "pair", "pair")
     assert "has 0 joints and that of ladder-1/reach" in refuse("oracle", "--rung", "pair", "reach")
-    assert "follow the options of one room" in refuse("sweep", "--rung", "doormat", "pair")
+    assert "follow the numbers of options" in refuse("sweep", "--rung", "doormat", "pair")
     assert "smdp-dqn+objects" in refuse("smdp-dqn", "--rung", "doormat", "pair")
     assert "from 1 to 64" in refuse("oracle", "--rung", "doormat", "clutter", "--rooms", "65")
 
 
-def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
+def test_a_sequence_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
     manifest = make_manifest()
     config = manifest.rungs[0].config
     other = dataclasses.replace(config, robot=dataclasses.replace(config.robot, drive="differential"))
     rungs = (*manifest.rungs, dataclasses.replace(manifest.rungs[0], name="driven", config=other))
     dataclasses.replace(manifest, rungs=rungs).save(tmp_path / "mine.json")
-    code, out, _ = call(capsys, "run", "oracle", "--protocol", "tower", "--dry-run", "--out", str(tmp_path),
+    code, out, _ = call(capsys, "run", "oracle", "--protocol", "sequence", "--dry-run", "--out", str(tmp_path),
                         "--benchmark", str(tmp_path / "mine.json"), "--rooms", "1", "--train-sizes", "1")
-    assert code == 0 and out.startswith("Left out of the tower, as their robots have other primitives: driven\n")
-    assert "tower: 10 runs, 10 to be made" in out
+    left_out = "Left out of the sequence, because their robots have other primitives: driven\n"
+    assert code == 0 and out.startswith(left_out)
+    assert "sequence: 10 runs, 10 to be made" in out

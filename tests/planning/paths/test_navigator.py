@@ -317,7 +317,7 @@ def deaf(collision):
 
 
 @pytest.mark.parametrize(("factory", "claim"), [
-    (moody, "whatever was asked before"),
+    (moody, "independently of earlier queries"),
     (deaf, "exception through"),
     (lambda collision: lambda problem: [problem.start, problem.goals[0]], "free motions"),
     (lambda collision: lambda problem: problem.is_free(0, 0) and None, "finds some path"),

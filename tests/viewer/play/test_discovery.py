@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import pytest
 
-from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.commands.play import PlayArgs
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.graphs import find_edges_that_matter
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.pages.panels import KnownEdges, make_graph
