@@ -13,9 +13,9 @@ from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env as make_view
-from hrl_escape.comparison.statistics import compute_mean_efficiency
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env as make_view
+from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -270,6 +270,7 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
         assert len({find_motif(room) for room in rooms}) == 1 and len({room.id for room in rooms}) == 3
 
 
+@pytest.mark.nightly
 def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats():
     spec, tower = AgentSpec.parse("bayes"), repeat_set(SAME, 2)
     presses = {}
