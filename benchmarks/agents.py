@@ -34,7 +34,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.cli import run_script
 from hrl_escape.errors import MissingExtraError
 

@@ -25,7 +25,7 @@ from rich.table import Table
 
 from hrl_escape.agents import SMDPTransition, make_agent
 from hrl_escape.agents.decisions import Decisions, Moments
-from hrl_escape.agents.seam import serve_many, serve_one
+from hrl_escape.agents.single_env import serve_many, serve_one
 from hrl_escape.cli import run_script
 
 INPUTS, ACTIONS = 12, 9

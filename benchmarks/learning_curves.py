@@ -29,10 +29,10 @@ from benchmarks.classic_control import Peer
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import Agent, count_actions, make_transition, read_action_mask
 from hrl_escape.agents.decisions import Moments
-from hrl_escape.agents.seam import serve_many, serve_one
-from hrl_escape.agents.streams import gather_decisions
+from hrl_escape.agents.many_envs import gather_decisions
+from hrl_escape.agents.single_env import serve_many, serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.agents.training.stream_run import make_streams
+from hrl_escape.agents.training.many_envs import make_many_envs
 from hrl_escape.benchmark.inference import PairedTest, compare_pairs, correct_by_holm
 
 EVALUATIONS = 8
@@ -165,7 +165,7 @@ def train_in_one(agent: Any, env: gymnasium.Env, seed: int, marks: Marks) -> Non
 
 def train_in_many(agent: Agent, env: Any, seed: int, marks: Marks) -> None:
     """Train in a vector environment."""
-    streams = make_streams(env, agent.gamma)
+    streams = make_many_envs(env, agent.gamma)
     streams.reset(compute_episode_seed(seed, "streams", 1))
     served, masks, primitives = serve_many(agent), streams.action_mask.clone(), 0
     served.begin_episodes(streams.count, streams.device)

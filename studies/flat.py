@@ -21,13 +21,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hrl_escape.agents.many_envs import EndedDecisions
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.streams import EndedDecisions
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import compute_digest
+from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.agents.training.train import train
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnknownNameError
@@ -155,7 +155,7 @@ class RepeatedStreams:
     """
 
     def __init__(self, env: Any, repeat: int, gamma: float) -> None:
-        self._env, self._inner, self._repeat = env, VectorStreams(env, gamma), repeat
+        self._env, self._inner, self._repeat = env, VectorManyEnvs(env, gamma), repeat
         self.count, self.gamma = env.num_envs, gamma
         self.observation_space, self.action_space = env.single_observation_space, env.single_action_space
         room = env.unwrapped.instances[0]

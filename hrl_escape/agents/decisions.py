@@ -91,6 +91,14 @@ def make_decision(one: SMDPTransition) -> Decisions:
                      (one.trace,))
 
 
+def read_decision(batch: Decisions) -> SMDPTransition:
+    """Return the decision of a batch of one environment, with Python numbers; rewards are rounded to float32."""
+    return SMDPTransition(
+        batch.observation[0], int(batch.action[0]), batch.action_mask[0], float(batch.reward[0]),
+        float(batch.summed_reward[0]), int(batch.duration[0]), float(batch.discount[0]), batch.next_observation[0],
+        batch.next_action_mask[0], bool(batch.terminated[0]), bool(batch.truncated[0]), *batch.trace)
+
+
 class Policy(ABC):
     """Choice of actions without learning, with the memory of the episodes that run.
 

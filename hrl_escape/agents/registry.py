@@ -45,9 +45,9 @@ def list_agents() -> list[str]:
     return [*_list_made(), *sorted(set(agents) - _find_shipped().keys())]
 
 
-def list_stream_agents() -> list[str]:
+def list_many_env_agents() -> list[str]:
     """Names of the shipped agents that learn from many environments at once, in alphabetical order."""
-    from hrl_escape.agents.seam import MANY
+    from hrl_escape.agents.single_env import MANY
 
     return [name for name in sorted([*_list_made(), *list_hierarchy_agents()])
             if issubclass(get_agent_class(name), MANY)]

@@ -18,7 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.checks.claims import Claims, dump_state
 

@@ -29,9 +29,9 @@ from hrl_escape.agents.registry import (
     find_agent_module,
     list_agents,
     list_hierarchy_agents,
+    list_many_env_agents,
     list_offline_agents,
     list_recipes,
-    list_stream_agents,
 )
 from hrl_escape.agents.spec import PARTS, REFERENCES
 from hrl_escape.benchmark.presets import GRIDS
@@ -91,7 +91,7 @@ def run(args: ListArgs) -> None:
         "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_hierarchy_agents())},
         "parts": lambda: {f"+{name}": part.about for name, part in PARTS.items()},
         "recipes": _describe_recipes,
-        "batched": lambda: {name: _summarise(_parse_agent(name)) for name in list_stream_agents()},
+        "batched": lambda: {name: _summarise(_parse_agent(name)) for name in list_many_env_agents()},
         "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_hierarchy_agents()},
         "offline": lambda: {name: _summarise(_parse_agent(name)) for name in list_offline_agents()},
         "references": lambda: {name: describe_rule(name) for name in REFERENCES},

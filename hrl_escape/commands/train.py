@@ -56,7 +56,7 @@ from hrl_escape.settings import read_field_documents
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
 
-    from hrl_escape.agents.streams import Streams
+    from hrl_escape.agents.many_envs import ManyEnvs
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
 OF_OPTIONS = ("option_set",)
@@ -97,7 +97,7 @@ class TrainArgs(AgentChoice, RoomChoice):
     json: bool = False
     """Print the result as JSON."""
 
-    def make_batch(self, spec: AgentSpec, rooms: NamedRooms) -> VectorEnv | Streams:
+    def make_batch(self, spec: AgentSpec, rooms: NamedRooms) -> VectorEnv | ManyEnvs:
         """Make copies of the room, or of the rooms of a set, for training."""
         assert self.batch is not None
         given = list_batch_arguments(rooms)

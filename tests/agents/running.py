@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import gymnasium
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 
 
 def interact(agent: Agent, env: gymnasium.Env, decisions: int, seed: int = 0) -> Iterator[SMDPTransition]:

@@ -14,7 +14,7 @@ import pytest
 from hrl_escape.agents import Agent, get_recipe, list_agents, make_agent
 from hrl_escape.agents.agent import FixedPolicy, LearningSettings
 from hrl_escape.agents.registry import agents, get_agent_class, join_name, register_agent, split_name
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.errors import AgentSettingsError, ConfigError, PluginError, UnknownNameError, UnsupportedSpaceError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid

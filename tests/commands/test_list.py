@@ -6,7 +6,7 @@ import gymnasium
 import pytest
 
 from hrl_escape.agents.recommended import RECOMMENDED
-from hrl_escape.agents.registry import list_agents, list_hierarchy_agents, list_stream_agents
+from hrl_escape.agents.registry import list_agents, list_hierarchy_agents, list_many_env_agents
 from hrl_escape.agents.spec import PARTS
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
@@ -53,7 +53,7 @@ def test_recipes_and_agents_of_many_rooms_are_listed_where_they_are_asked_for(ca
     lists = json.loads(call(capsys, "list", "recipes", "batched", "--json")[1])
     assert lists["recipes"]["h-dqn"] == "default, table or patient"
     assert lists["recipes"]["dqn"] == "default, patient or keras-rl-2019"
-    assert list(lists["batched"]) == list_stream_agents() and "rainbow" in lists["batched"]
+    assert list(lists["batched"]) == list_many_env_agents() and "rainbow" in lists["batched"]
 
 
 def test_sentences_are_whole(capsys):

@@ -69,7 +69,7 @@ def test_observations_without_rows_are_refused():
 
 @pytest.mark.nightly
 def test_an_agent_trains_with_it_and_resumes_to_the_same_bits(tmp_path, monkeypatch):
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 128)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 128)
     settings = {"network": "objects", "hidden": (8,), "rollout": 64, "stream_rollout": 4, "batch_size": 16, "epochs": 2}
     arguments = {"primitives": 900, "eval_every": 450, "eval_episodes": 1, "settings": settings,
                  "checkpoint_seconds": 0.0}

@@ -15,7 +15,7 @@ import gymnasium
 from hrl_escape.agents.agent import AgentSettings, SMDPTransition
 from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.agents.components.tables import TabularAgent
-from hrl_escape.agents.streams import RowStreamAgent
+from hrl_escape.agents.single_env import SwitchingAgent
 from hrl_escape.settings import Range
 
 
@@ -68,7 +68,7 @@ class QLearningSettings(AgentSettings):
     room is 5 m. Binary components are unchanged."""
 
 
-class QLearning(RowStreamAgent, TabularAgent):
+class QLearning(SwitchingAgent, TabularAgent):
     """Q(s, o) <- Q(s, o) + alpha [R + gamma^k (1 - terminated) max over legal o' of Q(s', o') - Q(s, o)]."""
 
     settings: QLearningSettings

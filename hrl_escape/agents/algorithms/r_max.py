@@ -19,8 +19,8 @@ from hrl_escape.agents.agent import AgentSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.single_env import SwitchingAgent
 from hrl_escape.agents.state import Kept, pack_columns, unpack_columns
-from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 SWEEPS = 20_000
@@ -54,7 +54,7 @@ class RMaxSettings(AgentSettings):
 _KEPT = SMDPTransition._fields[:-2]  # without the flag of truncation and the trace
 
 
-class RMax(RowStreamAgent):
+class RMax(SwitchingAgent):
     """Optimism over a table: every pair is tried `visits` times before its model is used."""
 
     settings: RMaxSettings

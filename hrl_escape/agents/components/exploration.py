@@ -172,7 +172,9 @@ def sample_index(probabilities: NDArray[np.float64], rng: np.random.Generator) -
     """Draw an index with given probabilities, (actions,); an index of probability 0 is never drawn."""
     cumulative = probabilities.cumsum()
     total = cumulative[-1]
-    draw = min(rng.random() * total, np.nextafter(total, 0.0))  # the product could round up to the total
+    draw = rng.random() * total
+    if draw >= total:  # the product may round up
+        draw = np.nextafter(total, 0.0)
     return int(cumulative.searchsorted(draw, side="right"))
 
 

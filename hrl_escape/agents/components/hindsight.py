@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import GoalRule, SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
 from hrl_escape.agents.components.replay import Experience, make_batch
-from hrl_escape.agents.decisions import Decisions
+from hrl_escape.agents.decisions import Decisions, read_decision
 from hrl_escape.agents.state import Kept, Stateful, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 
@@ -84,10 +84,7 @@ class HindsightReplay(Hindsight):
         Raises:
             StepContractError: the decision ran several primitives, and goals achieved inside it are unknown.
         """
-        shared = [name for name in SMDPTransition._fields if name in Decisions._fields and name != "trace"]
-        row: dict[str, Any] = {name: getattr(batch, name)[0] for name in shared}
-        transition = SMDPTransition(**{name: value.item() if isinstance(value, np.generic) else value
-                                       for name, value in row.items()})
+        transition = read_decision(batch)
         experience, bonus = Experience(*(field[0] for field in experience)), float(np.ravel(bonus)[0])
         if transition.duration != 1:
             raise StepContractError(f"action {transition.action} ran {transition.duration} primitives; hindsight_goals "

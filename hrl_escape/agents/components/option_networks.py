@@ -1,9 +1,9 @@
 """Options over networks: their policies, values and terminations, and agents that learn them from rollouts.
 
 The option is drawn from pi(o | s, o-) = (1 - beta_o-(s)) [o = o-] + beta_o-(s) pi_Omega(o | s), where o- ran before,
-and in an episode's first state from pi_Omega. In many environments every stream runs an option of its own. What chose
-is kept with a decision, its option and its action, for a decision that outlasts its rollout counts in the next one,
-when the networks have moved on.
+and in an episode's first state from pi_Omega. Each of many environments runs its own option. A decision is stored with
+the probabilities of its option and action. One that outlasts its rollout counts in the next, after the networks have
+changed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions
+from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
+from hrl_escape.agents.batch_agent import BatchAgent
 from hrl_escape.agents.components.arrays import draw_minibatches
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
@@ -33,17 +34,14 @@ from hrl_escape.agents.components.policy_gradient import (
     sample_policy,
     take_column,
 )
-from hrl_escape.agents.components.stream_rollouts import (
-    collect_decisions,
-    keep_decision,
-    stack_decisions,
-    unstack_decisions,
-)
+from hrl_escape.agents.components.rollout_rows import keep_decision, stack_decisions, unstack_decisions
+from hrl_escape.agents.decisions import AgentPolicy, Decisions, Moments, Policy, read_decision
 from hrl_escape.agents.state import Kept, Stateful, StateTree
-from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
 
 NONE = -1
 """In place of the option before an episode's first decision."""
+OVER = 6
+"""Place of `over` in a row of `rollout_rows`."""
 SMALLEST = 1e-12
 """Probability below which the logarithm of a choice is cut off."""
 
@@ -72,66 +70,139 @@ def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:
 
 
 class OpenOptions(Stateful):
-    """The option that each stream runs, how it came to run, and for how many decisions it has run."""
+    """The option that runs in each of many environments, how it was chosen, and how many decisions it has made."""
 
     STATE = ("_option", "_former", "_is_chosen", "_log_probability", "_decisions", "_generator")
 
-    def __init__(self, count: int, device: torch.device, rng: np.random.Generator) -> None:
+    def __init__(self, num_envs: int, device: torch.device, rng: np.random.Generator) -> None:
         self._generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
-        self._option, self._former = (torch.full((count,), NONE, device=device) for _ in range(2))
-        self._is_chosen = torch.ones(count, dtype=torch.bool, device=device)
-        self._log_probability = torch.zeros(count, device=device)
-        self._decisions = torch.zeros(count, dtype=torch.int64, device=device)
+        self._option, self._former = (torch.full((num_envs,), NONE, device=device) for _ in range(2))
+        self._is_chosen = torch.ones(num_envs, dtype=torch.bool, device=device)
+        self._log_probability = torch.zeros(num_envs, device=device)
+        self._decisions = torch.zeros(num_envs, dtype=torch.int64, device=device)
         self._over: list[Tensor] = []  # runs that are over: option and decisions, (2, n) each
 
-    def draw(self, stream: Tensor, betas: Tensor, choice: Tensor) -> Tensor:
-        """Draw whether the options of streams end, and the next ones; of a new episode, the first. Returns int64 (n,).
+    def draw(self, env: Tensor, betas: Tensor, choice: Tensor) -> Tensor:
+        """Draw whether the options of some environments end, and the next ones; of a new episode, the first.
 
-        `betas` are the terminations of all options where the streams are, `choice` the policy over options there, (n,
-        options).
+        Args:
+            env: int64 (n,).
+            betas: terminations of all options at the states, (n, options).
+            choice: the policy over options there, (n, options).
+
+        Returns:
+            Options, int64 (n,).
         """
-        former = self._option[stream]
-        draws = torch.rand(len(stream), generator=self._generator, device=stream.device)
+        former = self._option[env]
+        draws = torch.rand(len(env), generator=self._generator, device=env.device)
         ends = (former == NONE) | (draws < take_column(betas, former.clamp(min=0)))
         option = torch.where(ends, sample_policy(choice.clamp(min=SMALLEST).log(), self._generator), former)
         chance = take_column(mix_with_former(betas, choice, former), option)
-        self._finish(stream[ends & (former != NONE)])
-        self._option[stream], self._former[stream], self._is_chosen[stream] = option, former, ends
-        self._log_probability[stream] = chance.clamp(min=SMALLEST).log()
+        self._finish(env[ends & (former != NONE)])
+        self._option[env], self._former[env], self._is_chosen[env] = option, former, ends
+        self._log_probability[env] = chance.clamp(min=SMALLEST).log()
         return option
 
-    def get_running(self, stream: Tensor) -> Tensor:
-        """Options that some streams run, int64 (n,)."""
-        return self._option[stream]
+    def get_running(self, env: Tensor) -> Tensor:
+        """Options that run in some environments, int64 (n,)."""
+        return self._option[env]
 
-    def end(self, stream: Tensor, over: Tensor) -> OptionChoices:
+    def end(self, env: Tensor, over: Tensor) -> OptionChoices:
         """Options of decisions that ended, int64 (n,); where the episode is `over` too, bool (n,), none goes on."""
-        choices = OptionChoices(self._option[stream], self._former[stream], self._is_chosen[stream],
-                                self._log_probability[stream])
-        self._decisions[stream] += 1
-        self._finish(stream[over])
-        self._option[stream[over]] = NONE
+        choices = OptionChoices(self._option[env], self._former[env], self._is_chosen[env], self._log_probability[env])
+        self._decisions[env] += 1
+        self._finish(env[over])
+        self._option[env[over]] = NONE
         return choices
 
-    def _finish(self, stream: Tensor) -> None:
-        self._over.append(torch.stack((self._option[stream], self._decisions[stream])))
-        self._decisions[stream] = 0
+    def _finish(self, env: Tensor) -> None:
+        self._over.append(torch.stack((self._option[env], self._decisions[env])))
+        self._decisions[env] = 0
 
     def report(self, log: OptionLog) -> None:
-        """Tell a log of the runs that are over since the last report, in order."""
+        """Add the runs that ended since the last report to a log, in order."""
         runs = torch.cat(self._over, dim=1).T.tolist() if self._over else []
         self._over = []
         for option, decisions in runs:
             log.add(option, decisions)
 
     def begin_episodes(self) -> None:
-        """Drop the options that run: every stream begins an episode."""
+        """Drop the options that run: every environment begins an episode."""
         self._option.fill_(NONE)
         self._decisions.zero_()
 
     def after_load(self) -> None:
-        """Forget the runs that are over: a log was told of them before the state was taken."""
+        """Drop the runs that are over: the log had them before the state was saved."""
         self._over = []
+
+
+class OptionRollout(Stateful):
+    """Decisions of many environments that are collected for the next updates, and the draws of their actions.
+
+    Attributes:
+        generator: on the device, for the draws of actions.
+    """
+
+    STATE = ("_log_probability", "_place", "generator", Kept("_rows", "rows", unpack=dict))
+
+    def __init__(self, num_envs: int, device: torch.device, rng: np.random.Generator) -> None:
+        self.generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
+        self._log_probability = torch.zeros(num_envs, device=device)
+        self._place = torch.zeros(num_envs, dtype=torch.int64, device=device)
+        self._parts: list[tuple[Rollout, OptionChoices]] = []
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def note_choice(self, env: Tensor, log_probability: Tensor) -> None:
+        """Note the log probabilities, (n,), of the actions that were just chosen in some environments, int64 (n,)."""
+        self._log_probability[env] = log_probability
+
+    def add(self, batch: Decisions, choices: OptionChoices, encoder: ObservationEncoder, settings: Any) -> None:
+        """Add decisions that ended, with their options."""
+        reward, bootstrap = compute_backup(batch, settings)
+        env, over = batch.env, batch.terminated | batch.truncated
+        self._parts.append((Rollout(
+            encoder.encode_many(batch.observation), batch.action_mask, batch.action, self._log_probability[env],
+            reward * settings.reward_scale, bootstrap, batch.duration, over,
+            encoder.encode_many(batch.next_observation), self._log_probability.new_zeros((len(env), 0)), env,
+            self._place[env]), choices))
+        self._place[env] += 1
+        self._count += len(env)
+
+    def gather(self) -> tuple[Rollout, OptionChoices]:
+        """Return everything that was collected."""
+        rollouts, choices = zip(*self._parts, strict=True)
+        return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
+                OptionChoices(*map(torch.cat, zip(*choices, strict=True))))
+
+    def take(self) -> tuple[Rollout, OptionChoices]:
+        """Return everything that was collected, and begin the next rollout."""
+        taken = self.gather()
+        self._parts, self._count = [], 0
+        self._place.zero_()
+        return taken
+
+    def truncate(self) -> None:
+        """End the episode of every environment with its latest decision here."""
+        if self._count:
+            rollout, choices = self.gather()
+            over = rollout.over | (rollout.place == self._place[rollout.stream] - 1)
+            self._parts = [(rollout._replace(over=over), choices)]
+
+    @property
+    def _rows(self) -> StateTree | None:
+        """Fields of what was collected; None where that is nothing."""
+        return {"rollout": self.gather()[0]._asdict(), "own": self.gather()[1]._asdict()} if self._count else None
+
+    @_rows.setter
+    def _rows(self, saved: StateTree | None) -> None:
+        self._parts, self._count = [], 0
+        if saved is not None:
+            fields, own = ({name: torch.from_numpy(np.asarray(field)).to(self._place.device)
+                            for name, field in saved[part].items()} for part in ("rollout", "own"))
+            self._parts, self._count = [(Rollout(**fields), OptionChoices(**own))], len(fields["place"])
 
 
 class OptionHeads:
@@ -264,8 +335,11 @@ class OptionHeads:
 # --- agents -------------------------------------------------------------------------------
 
 
-class StreamOptionAgent(OptionAgent, StreamAgent):
-    """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings."""
+class OptionRolloutAgent(BatchAgent, OptionAgent):
+    """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings.
+
+    One environment has options and rows in NumPy, many have them in `OptionRollout` and `OpenOptions`.
+    """
 
     Heads: ClassVar[type[OptionHeads]] = OptionHeads
     trained: ClassVar[tuple[str, ...]] = ()
@@ -273,9 +347,9 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
     settings: Any
     is_markov: bool = False
     STATE = (Kept("_kept_rollout", "rollout", unpack=dict), Kept("_kept_choices", "choices", unpack=dict), "log",
-             "_running", "_action_rng", "_option_rng", "_batch_rng", Kept("heads.learner", "learner"),
-             Kept("_stream_rng", is_left_out=True), Kept("_stream_option_rng", is_left_out=True),
-             Kept("_kept_streams", "streams", unpack=dict, is_left_out=True))
+             Kept("_kept_option", "option"), "_action_rng", "_option_rng", "_batch_rng",
+             Kept("heads.learner", "learner"), Kept("_many_rng", is_left_out=True),
+             Kept("_many_option_rng", is_left_out=True))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: Any = None) -> None:
@@ -286,16 +360,14 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         self.heads = self.Heads(self.name, self._encoder, self._actions, seed, settings, self.trained)
         self._action_rng, self._option_rng = make_rng(seed, "actions"), make_rng(seed, "options")
         self._batch_rng = make_rng(seed, "batches")
-        self._stream_rng, self._stream_option_rng = make_rng(seed, "streams"), make_rng(seed, "streams' options")
+        self._many_rng, self._many_option_rng = make_rng(seed, "streams"), make_rng(seed, "streams' options")
         self._former, self._is_chosen = NONE, True
-        self._open: tuple[OpenChoices, OpenOptions] | None = None  # None while one environment is played
+        self._many: tuple[OptionRollout, OpenOptions] | None = None  # None in one environment
         self._forget()
 
     def _forget(self) -> None:
         self._rows: list[tuple] = []
         self._choices: list[tuple[int, int, bool]] = []
-        self._chunks: list[tuple[Rollout, OptionChoices]] = []  # of streams
-        self._collected = 0
 
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
         """pi_o(a | s) over legal actions, float64 (options, actions)."""
@@ -316,8 +388,36 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
 
     # --- acting -------------------------------------------------------------------------
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Draw from the running option's policy; a first option is drawn in a new episode."""
+    def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
+        """Begin an episode in every environment; in as many as before, the rollout is truncated and goes on."""
+        self._option, self._decisions = NONE, 0
+        if self.place == (num_envs, device):
+            if self._many is not None:
+                self._many[0].truncate()
+                self._many[1].begin_episodes()
+            elif self._rows:
+                self._rows[-1] = (*self._rows[-1][:OVER], True, *self._rows[-1][OVER + 1:])
+            return
+        self.place = num_envs, device
+        self.move(device or torch.device("cpu"))
+        self._forget()
+        self._many = None if device is None else (OptionRollout(num_envs, device, self._many_rng),
+                                                  OpenOptions(num_envs, device, self._many_option_rng))
+
+    def act(self, batch: Moments) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride] - as in `BatchAgent`
+        """Draw from the running options' policies; a first option is drawn in a new episode. Returns int64 (n,)."""
+        if self._many is None:
+            return np.array((self._act_one(batch.observation[0], batch.action_mask[0]),))
+        seen = self._encoder.encode_many(batch.observation)
+        rollout, options = self._many
+        with torch.no_grad():
+            option = options.draw(batch.env, self.heads.compute_betas(seen), self.heads.compute_fresh_choice(seen))
+            log_policy = self.heads.compute_log_policies(seen, option, batch.action_mask)
+        action = sample_policy(log_policy, rollout.generator)
+        rollout.note_choice(batch.env, take_column(log_policy, action))
+        return action
+
+    def _act_one(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         if self._option == NONE:
             self._choose(observation)
         self._shown = self._option, self._decisions, observation
@@ -341,13 +441,27 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         self._shown = option, decisions, observation
         return choose_best(self.heads.compute("policy", observation).reshape(self.options, -1)[option], action_mask)
 
+    def make_policy(self) -> Policy:
+        """Make a policy that chooses as `act_greedy` does."""
+        return AgentPolicy(self)
+
     # --- learning -----------------------------------------------------------------------
 
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision; update when the rollout is full. Streams are over with it, and what they collected."""
-        if self._open is not None:
-            self._open = None
-            self._forget()
+    def observe(  # pyright: ignore[reportIncompatibleMethodOverride] - as in `BatchAgent`
+            self, batch: Decisions) -> Mapping[str, float]:
+        """Store the decisions; update when the rollout is full."""
+        if self._many is None:
+            return self._observe_one(read_decision(batch))
+        rollout, options = self._many
+        over = batch.terminated | batch.truncated
+        rollout.add(batch, options.end(batch.env, over), self._encoder, self.settings)
+        if len(rollout) < max(self.settings.rollout, self.settings.stream_rollout * self.place[0]):
+            return {}
+        taken = rollout.take()
+        options.report(self.log)
+        return dict(self._learn(*taken)) | self.log.measure()
+
+    def _observe_one(self, transition: SMDPTransition) -> Mapping[str, float]:
         self._rows.append(keep_decision(transition, self._encoder, self.settings, np.zeros(0, np.float32)))
         self._choices.append((self._option, self._former, self._is_chosen))
         self._decisions += 1
@@ -371,12 +485,8 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
             self._former, self._is_chosen = self._option, False
 
     def _gather(self) -> tuple[Rollout, OptionChoices]:
-        """Everything that was collected."""
-        if self._rows:
-            return stack_decisions(self._rows, 0), OptionChoices(*map(torch.tensor, zip(*self._choices, strict=True)))
-        rollouts, choices = zip(*self._chunks, strict=True)
-        return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
-                OptionChoices(*map(torch.cat, zip(*choices, strict=True))))
+        """Everything that was collected in one environment."""
+        return stack_decisions(self._rows, 0), OptionChoices(*map(torch.tensor, zip(*self._choices, strict=True)))
 
     def _draw_batches(self, units: int, collected: int) -> Iterator[Tensor]:
         """Minibatches of rows, as many as of `rollout` decisions; none of one row, which has no deviation."""
@@ -389,53 +499,9 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
         """The updates from a rollout, while the networks are still those that chose; returns numbers to log."""
 
-    # --- streams ------------------------------------------------------------------------
-
     def move(self, device: torch.device) -> None:
-        """Move networks, optimisers and what waits for updates to a device."""
+        """Move networks and optimisers to a device."""
         self.heads.learner.move(device)
-
-    def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move to a device; every stream begins an episode, and what was collected ends there, as truncated."""
-        if self._open is not None and self._open[0].has(count, device):
-            if self._collected:
-                rollout, choices = self._gather()
-                over = rollout.over | self._open[0].find_last(rollout.stream, rollout.place)
-                self._chunks = [(rollout._replace(over=over), choices)]
-            for each in self._open:
-                each.begin_episodes()
-            return
-        self.move(device)
-        self._open = (OpenChoices(count, self._actions, device, self._stream_rng),
-                      OpenOptions(count, device, self._stream_option_rng))
-        self._forget()
-
-    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
-        """Draw each stream's option, then its action from that option's policy."""
-        assert self._open is not None, "begin_streams comes first"
-        choices, options = self._open
-        seen = self._encoder.encode_many(observation)
-        with torch.no_grad():
-            option = options.draw(stream, self.heads.compute_betas(seen), self.heads.compute_fresh_choice(seen))
-            log_policy = self.heads.compute_log_policies(seen, option, mask)
-        action = sample_policy(log_policy, choices.generator)
-        choices.choose(stream, mask, take_column(log_policy, action), choices.memory[stream])
-        return action
-
-    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
-        """Keep the decisions; update when the rollout is full."""
-        assert self._open is not None, "begin_streams comes first"
-        choices, options = self._open
-        rollout = collect_decisions(choices, decisions, self._encoder, self.settings)
-        self._chunks.append((rollout, options.end(decisions.stream, rollout.over)))
-        self._collected += len(decisions.stream)
-        if self._collected < max(self.settings.rollout, self.settings.stream_rollout * choices.count):
-            return {}
-        rollout, own = self._gather()
-        self._forget()
-        choices.begin_rollout()
-        options.report(self.log)
-        return dict(self._learn(rollout, own)) | self.log.measure()
 
     # --- state ----------------------------------------------------------------------------
 
@@ -457,12 +523,12 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         self._choices = list(zip(*columns, strict=True))
 
     @property
-    def _running(self) -> list[int]:
+    def _kept_option(self) -> list[int]:
         """Option that runs, that before it, whether it was chosen, and the decisions it has made."""
         return [self._option, self._former, int(self._is_chosen), self._decisions]
 
-    @_running.setter
-    def _running(self, saved: list[int]) -> None:
+    @_kept_option.setter
+    def _kept_option(self, saved: list[int]) -> None:
         self._option, self._former, is_chosen, self._decisions = map(int, saved)
         self._is_chosen = bool(is_chosen)
 
@@ -472,28 +538,11 @@ class StreamOptionAgent(OptionAgent, StreamAgent):
         super().load_state_dict(state)
 
     def state_dict(self) -> StateTree:
-        """Everything that `STATE` names, once the log knows of the runs of options that are over."""
-        if self._open is not None:
-            self._open[1].report(self.log)
+        """Everything that `STATE` names, after the runs of options that are over are logged."""
+        if self._many is not None:
+            self._many[1].report(self.log)
         return super().state_dict()
 
-    @property
-    def _kept_streams(self) -> StateTree | None:
-        """The rollout of the streams so far, and their choices in progress; None while one environment is played."""
-        if self._open is None:
-            return None
-        rollout, own = (part._asdict() for part in self._gather()) if self._collected else (None, None)
-        return {"rollout": rollout, "own": own,
-                "choices": self._open[0].state_dict(), "options": self._open[1].state_dict()}
-
-    @_kept_streams.setter
-    def _kept_streams(self, saved: StateTree | None) -> None:
-        """Streams go on if there are as many, on any device."""
-        if self._open is None or saved is None:
-            return
-        for each, name in zip(self._open, ("choices", "options"), strict=True):
-            each.load_state_dict(saved[name])
-        if saved["rollout"] is not None:
-            fields, own = ({name: torch.from_numpy(np.asarray(field)).to(self.heads.policy.weights.device)
-                            for name, field in saved[part].items()} for part in ("rollout", "own"))
-            self._chunks, self._collected = [(Rollout(**fields), OptionChoices(**own))], len(fields["place"])
+    def list_running(self) -> dict[str, Stateful]:
+        """Parts of the state that belong to many environments, by their names in a checkpoint."""
+        return {} if self._many is None else dict(zip(("rollout", "options"), self._many, strict=True))

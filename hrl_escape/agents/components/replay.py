@@ -122,12 +122,23 @@ class Replay(Stateful):
             field[rows] = value[begin:] if begin else value
         self._next[rows] = -1
         if env is not None:
-            number = self._arrays.arange(self.added, count)
-            before = self._latest[env]
-            there = before >= max(self.added + count - capacity, 0)  # and not among those that were overwritten
-            self._next[before[there] % capacity] = number[there]
-            self._latest[env] = self._arrays.library.where(over, -1, number)
+            self._link(env, over, count)
         self.added += count
+
+    def _link(self, env: Any, over: Any, count: int) -> None:
+        """Link the decisions that `add` stores with those before them in their environments."""
+        oldest = max(self.added + count - self.capacity, 0)
+        if count == 1:  # a fifth of the time of the form for many rows
+            before = int(self._latest[env[0]])
+            if before >= oldest:
+                self._next[before % self.capacity] = self.added
+            self._latest[env[0]] = -1 if over[0] else self.added
+            return
+        number = self._arrays.arange(self.added, count)
+        before = self._latest[env]
+        there = before >= oldest
+        self._next[before[there] % self.capacity] = number[there]
+        self._latest[env] = self._arrays.library.where(over, -1, number)
 
     def begin_episodes(self) -> None:
         """Begin an episode in every environment: what comes next is joined to nothing before."""

@@ -36,9 +36,8 @@ from hrl_escape.agents.hierarchy.task import (
     load_stack,
     save_stack,
 )
-from hrl_escape.agents.seam import MANY, serve_many, serve_one
+from hrl_escape.agents.single_env import MANY, SwitchingAgent, serve_many, serve_one
 from hrl_escape.agents.state import Kept, StateTree
-from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError, UnsupportedError
 from hrl_escape.settings import Range
 
@@ -57,7 +56,7 @@ class StackSettings(AgentSettings):
     only (hierarchical greedy execution), or always."""
 
 
-class CallRunner(RowStreamAgent):
+class CallRunner(SwitchingAgent):
     """Runs the calls of a hierarchy on a flat environment.
 
     Attributes:
@@ -201,8 +200,8 @@ class CallRunner(RowStreamAgent):
 
     @property
     def _kept_choice(self) -> list[Any] | None:
-        """In streams, the choice that has not come to its end yet; a single environment is left between decisions."""
-        if self._chosen is None or self._stream is None:
+        """In many environments, the choice that has not ended yet; a single one is saved between decisions."""
+        if self._chosen is None or self._env is None:
             return None
         stack, seen, action = self._chosen
         return [save_stack(stack), seen.observation, seen.mask, action]
@@ -321,20 +320,24 @@ class StackAgent(CallRunner):
         learner = self.learners.get(task.name)
         return self.gamma if learner is None else learner.gamma
 
-    def begin_streams(self, count: int, device: torch.device) -> None:
-        """Every learner has as many streams for each of its tasks; `AgentSettingsError` for one that can have none."""
-        super().begin_streams(count, device)
+    def begin_episodes(self, num_envs: int, device: torch.device) -> None:
+        """Begin an episode in every environment; a learner has as many environments for each of its tasks.
+
+        Raises:
+            AgentSettingsError: a learner cannot learn from many environments.
+        """
+        super().begin_episodes(num_envs, device)
         for name, learner in self._owned.items():
             if not isinstance(learner, MANY):
                 raise AgentSettingsError(f"learner of task {name}", type(learner).__name__,
                                          "one that learns from many environments at once")
-            serve_many(learner).begin_episodes(count * len(self._list_tasks(learner)), device)
+            serve_many(learner).begin_episodes(num_envs * len(self._list_tasks(learner)), device)
 
     def _list_tasks(self, learner: Agent) -> list[str]:
         return [name for name, each in self.learners.items() if each is learner]
 
-    def _find_stream(self, stack: Stack, learner: Agent) -> torch.Tensor:
-        """Stream of a running call's learner, int64 (1,).
+    def _find_env(self, stack: Stack, learner: Agent) -> torch.Tensor:
+        """Number of the environment in which the learner of a running call acts, int64 (1,).
 
         Raises:
             UnsupportedError: two calls of one task run at once.
@@ -344,8 +347,8 @@ class StackAgent(CallRunner):
         tasks, task = self._list_tasks(learner), stack[-1].task.name
         if sum(frame.task.name == task for frame in stack) > 1:
             raise UnsupportedError(f"task {task!r} calls itself: give train an ordinary environment, not many at once")
-        assert self._stream is not None
-        return torch.tensor([self._stream * len(tasks) + tasks.index(task)])
+        assert self._env is not None
+        return torch.tensor([self._env * len(tasks) + tasks.index(task)])
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """The learner's exploring choice, or the task's own."""
@@ -353,9 +356,9 @@ class StackAgent(CallRunner):
         learner = self.learners.get(task.name)
         if learner is None:
             return task.decide(seen, context, self._rng)
-        if self._stream is None:
+        if self._env is None:
             return serve_one(learner).act(view, legal)
-        return int(serve_many(learner).act(Moments(self._find_stream(stack, learner), _make_row(view),
+        return int(serve_many(learner).act(Moments(self._find_env(stack, learner), _make_row(view),
                                                    _make_row(legal))))
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
@@ -381,13 +384,13 @@ class StackAgent(CallRunner):
 
     def _teach(self, learner: Agent, returned: Return) -> Mapping[str, float]:
         one = make_task_transition(returned)
-        if self._stream is None:
+        if self._env is None:
             return serve_one(learner).observe(one)
         reward, summed, discount = map(np.float32, (one.reward, one.summed_reward, one.discount))
         rows = (one.observation, one.action_mask, one.action, reward, summed, one.duration, discount,
                 one.next_observation, one.next_action_mask, one.terminated, one.truncated)
         fields: Any = map(_make_row, rows)
-        return serve_many(learner).observe(Decisions(self._find_stream(returned.stack, learner), *fields))
+        return serve_many(learner).observe(Decisions(self._find_env(returned.stack, learner), *fields))
 
     def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:
         """Learners hear of the decisions that they made."""

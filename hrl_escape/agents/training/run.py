@@ -24,7 +24,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, check_same_observations, read_success
 from hrl_escape.agents.registry import split_name
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts

@@ -20,10 +20,10 @@ from gymnasium.vector import VectorEnv, VectorRewardWrapper, VectorWrapper
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent, read_structure
-from hrl_escape.agents.registry import get_agent_class, list_stream_agents
-from hrl_escape.agents.seam import MANY
+from hrl_escape.agents.many_envs import ManyEnvs
+from hrl_escape.agents.registry import get_agent_class, list_many_env_agents
+from hrl_escape.agents.single_env import MANY
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.streams import Streams
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import (
@@ -62,7 +62,7 @@ ended."""
 
 def train(
     agent: str | AgentSpec | type[Agent] | Agent,
-    env: gymnasium.Env | VectorEnv | Streams | None = None,
+    env: gymnasium.Env | VectorEnv | ManyEnvs | None = None,
     *,
     primitives: int | None = None,
     data: str | os.PathLike[str] | OfflineData | None = None,
@@ -92,7 +92,7 @@ def train(
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
             arguments are told apart. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn from
-            many streams (see `list_stream_agents`) on its device; returns are then logged by segments of steps
+            many streams (see `list_many_env_agents`) on its device; returns are then logged by segments of steps
             instead of episodes. With `data` it is the one to be tested in, by default the data set's.
         primitives: budget, of all streams together. The decision that reaches it is the last. With `data` those
             learned from, counted at each pass; by default as many as the agent's `passes` say.
@@ -187,12 +187,12 @@ def train(
         else:
             if not isinstance(learner, MANY):
                 raise AgentSettingsError("agent", name, "one that learns from many environments at once: "
-                                         f"{', '.join(list_stream_agents())}; or give train an ordinary environment")
+                                         f"{', '.join(list_many_env_agents())}; or give train an ordinary environment")
             if probe is not None:
                 raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
-            from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in
+            from hrl_escape.agents.training.many_envs import ManyEnvsRun  # brings torch in
 
-            run = StreamRun(learner, env, single, arguments, callbacks)
+            run = ManyEnvsRun(learner, env, single, arguments, callbacks)
         if out is not None:
             run.open(os.fspath(out).replace("{key}", run.key))
         try:
@@ -230,7 +230,7 @@ _SAME_TASK = ("NormalizeReward", "RecordEpisodeStatistics", "RecordVideo", "Huma
 """Wrappers of Gymnasium, besides those of rewards, under which an agent sees and does the same as without them."""
 
 
-def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
+def make_single_env(env: VectorEnv | ManyEnvs) -> gymnasium.Env:
     """An ordinary environment of the same task as many at once, by which they are evaluated.
 
     Raises:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition, set_option_discount
 from hrl_escape.agents.decisions import Moments, Policy
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.episodes import PrimitiveStep

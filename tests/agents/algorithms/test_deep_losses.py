@@ -21,7 +21,7 @@ from hrl_escape.agents.algorithms.sarsa import Sarsa, SarsaSettings
 from hrl_escape.agents.components.exploration import compute_policy
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_advantages
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 
 GAMMA = 0.93
 SIZE, INPUTS, ACTIONS = 64, 5, 4

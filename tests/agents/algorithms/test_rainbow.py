@@ -13,7 +13,7 @@ from hrl_escape.agents.algorithms.rainbow import Rainbow, RainbowSettings, proje
 from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.networks import NoisyLinear
 from hrl_escape.agents.components.replay import Experience, Priorities, Replay
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.errors import AgentSettingsError
 from tests.agents.algorithms.test_deep_losses import ACTIONS, GAMMA, SIZE, SPACES, make_batch
 from tests.agents.running import learn

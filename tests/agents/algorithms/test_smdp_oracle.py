@@ -14,7 +14,7 @@ from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.decisions import Decisions, Moments
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from tests.agents.algorithms.test_deep_losses import forward
 
 GAMMA, ACTIONS, SIZE = 0.93, 5, 3

@@ -13,9 +13,9 @@ from hrl_escape.agents import evaluate, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.memory import cut_stretches
 from hrl_escape.agents.decisions import Moments
-from hrl_escape.agents.seam import serve_one
-from hrl_escape.agents.streams import gather_decisions
-from hrl_escape.agents.training.stream_run import VectorStreams
+from hrl_escape.agents.many_envs import gather_decisions
+from hrl_escape.agents.single_env import serve_one
+from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.checks.agent import check_agent
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
@@ -81,7 +81,7 @@ class TMazes(VectorEnv):
 
 def play(agent, mazes, steps):
     """Let an agent learn nothing while streams run; returns what it remembers of them."""
-    streams = VectorStreams(mazes, agent.gamma)
+    streams = VectorManyEnvs(mazes, agent.gamma)
     streams.reset(0)
     agent.begin_episodes(mazes.num_envs, torch.device("cpu"))
     for _ in range(steps):

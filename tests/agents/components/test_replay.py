@@ -10,7 +10,7 @@ from hrl_escape.agents import make_agent, make_transition
 from hrl_escape.agents.agent import LearningSettings, SMDPTransition, compute_backup
 from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.replay import Experience, Replay, make_batch
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.errors import CheckpointError
 

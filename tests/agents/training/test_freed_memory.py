@@ -9,7 +9,7 @@ from tests.forks import run_fork
 COUNT_FAULTS = """
 import resource, sys
 import numpy as np
-from hrl_escape.agents.training.stream_run import keep_freed_memory
+from hrl_escape.agents.training.many_envs import keep_freed_memory
 if sys.argv[1] == "kept":
     keep_freed_memory()
 def touch(): np.ones(5_000_000)  # 40 MB, beyond what glibc keeps by itself

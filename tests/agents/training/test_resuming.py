@@ -18,7 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from hrl_escape.agents import Callback, load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.evaluation import evaluate

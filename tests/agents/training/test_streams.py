@@ -13,8 +13,8 @@ from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy, compute_next_values
 from hrl_escape.agents.decisions import Decisions, Moments
-from hrl_escape.agents.streams import StreamTransitions
-from hrl_escape.agents.training.stream_run import VectorStreams
+from hrl_escape.agents.single_env import serve_many
+from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
@@ -174,7 +174,7 @@ class Counting(gymnasium.Env):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_trap_13_no_outcome_shows_the_next_episode_whichever_way_the_environment_resets(mode):
-    streams = VectorStreams(SyncVectorEnv([Counting] * 3, autoreset_mode=mode), 0.99)
+    streams = VectorManyEnvs(SyncVectorEnv([Counting] * 3, autoreset_mode=mode), 0.99)
     streams.reset(0)
     seen = []
     for _ in range(40):
@@ -202,7 +202,7 @@ class Failing(Counting):
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_an_episode_that_ends_in_failure_is_no_success_whichever_way_the_environment_resets(mode):
-    streams = VectorStreams(SyncVectorEnv([Failing] * 3, autoreset_mode=mode), 0.99)
+    streams = VectorManyEnvs(SyncVectorEnv([Failing] * 3, autoreset_mode=mode), 0.99)
     streams.reset(0)
     found = []
     for _ in range(40):
@@ -218,7 +218,7 @@ def test_an_episode_that_ends_in_failure_is_no_success_whichever_way_the_environ
 def test_rooms_of_the_batched_engine_show_the_state_that_their_episode_ended_in(mode):
     room = EscapeRoomVectorEnv(8, "paper-one-button", observation="state", output="torch", autoreset_mode=mode)
     room.room.tables.horizons.fill_(5)
-    streams = VectorStreams(room, 0.99)
+    streams = VectorManyEnvs(room, 0.99)
     streams.reset(3)
     start = streams.observation.clone()
     ends = 0
@@ -293,7 +293,7 @@ def make_interrupted(kind):
         ("dac", "poles", 200), ("ppoc", "rooms", 37), ("sarsa", "rooms", 37), ("ddpg", "poles", 200),
         ("a2oc", "rooms", 37), ("diayn", "poles", 200)))])
 def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monkeypatch):
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 256)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 256)
     arguments = {"primitives": 800 if kind == "rooms" else 1_000, "seed": 1, "eval_every": 250, "eval_episodes": 1,
                  "settings": SETTINGS[name], "checkpoint_seconds": 0.0}
     whole = train(name, make_interrupted(kind), out=tmp_path / "whole", **arguments)
@@ -316,8 +316,8 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monk
 def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_after_enough_actions(
     tmp_path, monkeypatch, remade, begun
 ):
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.REMADE", remade)
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.REMADE", remade)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 64)
     resets, reset = [], SyncVectorEnv.reset
 
     def count(self, **given):
@@ -337,7 +337,7 @@ def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_afte
 
 
 def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 64)
     arguments = {"primitives": 400, "eval_episodes": 0, "settings": SMALL, "checkpoint_seconds": 0.0}
     env = make_interrupted("poles")
     env.left = 60
@@ -385,7 +385,7 @@ def test_a_failed_sea_is_logged_as_no_success():
 def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_cut_where_episodes_were_dropped(
     monkeypatch,
 ):
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.REMADE", 0)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.REMADE", 0)
     poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)
     poles.spec = gymnasium.spec("CartPole-v1")
     agent = PPO(poles.single_observation_space, poles.single_action_space, 0, PPOSettings(rollout=48, epochs=1))
@@ -441,7 +441,7 @@ def test_what_cannot_train_in_many_environments_says_so():
 
 @pytest.mark.nightly
 def test_a_run_in_many_environments_ends_with_two_evaluations_that_are_good_enough(monkeypatch):
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 64)
     arguments = {"primitives": 600, "settings": SMALL, "eval_every": 100, "eval_episodes": 1}
     ended, whole = (train("ppo", make_rooms(), **arguments, until_return=least) for least in (-1_000, None))
     assert len(ended.evaluations) == 2 < len(whole.evaluations)
@@ -484,7 +484,7 @@ def test_decisions_of_options_arrive_through_a_vector_environment_with_their_dur
                     "discounted_reward": sum(0.99**n * reward for n, reward in enumerate(rewards))}
             return *rest, info
 
-    streams = VectorStreams(SyncVectorEnv([Grid] * 2, autoreset_mode=AutoresetMode.SAME_STEP), 0.99)
+    streams = VectorManyEnvs(SyncVectorEnv([Grid] * 2, autoreset_mode=AutoresetMode.SAME_STEP), 0.99)
     streams.reset(0)
     lengths = set()
     for _ in range(12):
@@ -512,10 +512,11 @@ def test_counts_of_a_batch_are_those_of_one_visit_after_another():
 @pytest.mark.parametrize(("k", "terminated", "is_whole"), [(2, False, False), (1, False, True), (2, True, True)])
 def test_an_option_that_a_time_limit_cut_does_not_show_where_it_leads(k, terminated, is_whole):
     agent = make_agent("r-max", gymnasium.spaces.Discrete(3), gymnasium.spaces.Discrete(2), 0)
-    agent.begin_streams(1, CPU)
+    served = serve_many(agent)
+    served.begin_episodes(1, CPU)
     legal, here = torch.ones(1, 2, dtype=torch.bool), torch.zeros(1, dtype=torch.int64)
-    agent.act_streams(here, legal, here)
+    served.act(Moments(here, here, legal))
     last = torch.ones(1, dtype=torch.bool)
-    logged = agent.observe_streams(StreamTransitions(here, here, here, -torch.ones(1), -torch.ones(1), here + k,
-                                                     here + 1, legal, last & terminated, last))
+    logged = served.observe(Decisions(here, here, legal, here, -torch.ones(1), -torch.ones(1), here + k,
+                                      0.99 ** (here + k), here + 1, legal, last & terminated, last))
     assert bool(logged) is is_whole

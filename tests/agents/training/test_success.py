@@ -12,8 +12,8 @@ from hrl_escape import EscapeRoomEnv, OptionsEnv
 from hrl_escape.agents import load_result, train
 from hrl_escape.agents.agent import read_success
 from hrl_escape.agents.training.callbacks import Callback, list_numbers
+from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.agents.training.results import METRICS
-from hrl_escape.agents.training.stream_run import VectorStreams
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import StepContractError
 from hrl_escape.options import FunctionOption, ScriptedOption
@@ -99,7 +99,7 @@ def test_a_success_that_is_neither_true_nor_false_is_refused_with_its_name_and_v
     with pytest.raises(StepContractError, match=rf"info\['{name}'\] is .*; success must be True, False, 1 or 0"):
         run(Judged({name: value}, {name: value}))
     if not isinstance(value, (str, list, dict)):
-        streams = VectorStreams(SyncVectorEnv([lambda: Judged({name: value})] * 2), 0.99)
+        streams = VectorManyEnvs(SyncVectorEnv([lambda: Judged({name: value})] * 2), 0.99)
         streams.reset(0)
         with pytest.raises(StepContractError, match="success must be"):
             streams.step(torch.zeros(2, dtype=torch.int64))
@@ -131,7 +131,7 @@ def test_copies_report_their_success_at_their_own_last_steps(mode):
               lambda: Judged({"is_success": True}, {"is_success": True}, {"is_success": False}),
               lambda: Judged({}, {}, {"success": 1}),
               lambda: Judged({"is_success": True}, {})]
-    streams = VectorStreams(SyncVectorEnv(makers, autoreset_mode=mode), 0.99)
+    streams = VectorManyEnvs(SyncVectorEnv(makers, autoreset_mode=mode), 0.99)
     streams.reset(0)
     found = [set() for _ in makers]
     for _ in range(20):

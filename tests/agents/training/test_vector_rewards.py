@@ -10,7 +10,7 @@ from gymnasium.wrappers import ClipReward, NormalizeReward, TransformReward
 from gymnasium.wrappers import vector as many
 
 from hrl_escape import OptionsEnv, train
-from hrl_escape.agents.training.stream_run import make_streams
+from hrl_escape.agents.training.many_envs import make_many_envs
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError, StepContractError
 from hrl_escape.options import ScriptedOption
@@ -52,7 +52,7 @@ def make_options(env=None, **arguments):
 
 def walk(envs, actions, gamma=GAMMA):
     """Outcomes of the decisions that the same action begins in every copy."""
-    streams = make_streams(envs, gamma)
+    streams = make_many_envs(envs, gamma)
     try:
         streams.reset(0)
         return [streams.step(torch.full((streams.count,), action)) for action in actions]
@@ -237,7 +237,7 @@ def test_masks_are_those_of_the_copies_that_give_one_in_each_kind_of_reset(vecto
     lengths = (3, 5)
     envs = vector([lambda length=length, has=has: make_masked(length, has)
                    for length, has in zip(lengths, which, strict=True)], autoreset_mode=mode)
-    streams = make_streams(envs, GAMMA)
+    streams = make_many_envs(envs, GAMMA)
     try:
         streams.reset(0)
         places, was_over = [0, 0], [False, False]
@@ -316,13 +316,13 @@ def test_a_wrapper_above_a_batch_of_rooms_with_options_is_stepped_through():
                    eval_episodes=0)
     assert spy.resets == 1 and result.decisions / 4 <= spy.steps <= result.decisions
     assert spy.longest > 1, "options ran"
-    streams = make_streams(spy, GAMMA)
+    streams = make_many_envs(spy, GAMMA)
     streams.reset(0)
     assert torch.equal(streams.observation, 2 * torch.as_tensor(rooms._batch.observation))
 
 
 def test_a_batch_of_rooms_without_wrappers_keeps_its_own_streams():
-    streams = make_streams(OptionsVectorEnv(2, "paper-one-button", discount=0.99), GAMMA)
+    streams = make_many_envs(OptionsVectorEnv(2, "paper-one-button", discount=0.99), GAMMA)
     assert isinstance(streams, BatchedOptionsEnv) and streams.gamma == GAMMA
 
 
@@ -331,7 +331,7 @@ def test_a_batch_of_rooms_without_wrappers_keeps_its_own_streams():
 def test_a_reward_wrapper_above_a_batch_of_rooms_with_options_is_refused(output, mode):
     rooms = OptionsVectorEnv(2, "paper-one-button", output=output, autoreset_mode=mode)
     envs = many.TransformReward(rooms, lambda rewards: rewards / 100)
-    assert make_streams(rooms, GAMMA) is not None
+    assert make_many_envs(rooms, GAMMA) is not None
     with pytest.raises(StepContractError, match="is -0.01, but its primitives paid -1 in sum"):
         walk(envs, [0])
 
@@ -357,7 +357,7 @@ def test_the_environment_of_evaluations_must_be_given_where_wrappers_show_someth
     lambda: EscapeRoomVectorEnv(2, "paper-one-button"), lambda: OptionsVectorEnv(2, "paper-one-button")],
     ids=["primitives", "options"])
 def test_streams_go_on_with_the_state_of_their_wrappers(make_rooms):
-    streams, again = (make_streams(many.NormalizeObservation(make_rooms()), GAMMA) for _ in range(2))
+    streams, again = (make_many_envs(many.NormalizeObservation(make_rooms()), GAMMA) for _ in range(2))
     streams.reset(3)
     for action in (0, 1, 0, 2):
         streams.step(torch.full((2,), action))

@@ -7,7 +7,7 @@ import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import train
-from hrl_escape.agents.training.stream_run import VectorStreams
+from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.errors import ActionError
 from hrl_escape.options.batched.env import ENDINGS
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
@@ -45,7 +45,7 @@ def test_a_step_is_one_decision_of_every_room_with_the_fields_of_options_env():
 @pytest.mark.parametrize("mode", MODES)
 def test_episodes_end_and_begin_anew_in_each_way_and_no_outcome_is_of_the_next(mode):
     many = make(4, autoreset_mode=mode, include_primitives=False, output="torch")
-    streams = VectorStreams(many.unwrapped, 0.99)
+    streams = VectorManyEnvs(many.unwrapped, 0.99)
     streams.reset(0)
     start, escapes = streams.observation.clone(), 0
     for decision in (0, 1, 2, 0, 1, 2, 0):  # both buttons, then the exit, and again

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
-from hrl_escape.agents.components.option_networks import OptionChoices, OptionHeads, StreamOptionAgent
+from hrl_escape.agents.components.option_networks import OptionChoices, OptionHeads, OptionRolloutAgent
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_entropy, take_column
 from hrl_escape.settings import Range
 
@@ -94,7 +94,7 @@ class GreedyHeads(OptionHeads):
         return (1 - self.settings.epsilon) * best + self.settings.epsilon / self.options
 
 
-class A2OC(StreamOptionAgent):
+class A2OC(OptionRolloutAgent):
     """Learn pi_o, Q(s, o) and beta_o from a few decisions (s, o, a) -> R, s' at a time, by one step on all losses.
 
         policy       - log pi_o(a | s) (G - Q(s, o)) - weight x entropy of pi_o

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.agent import AgentSettings
-from hrl_escape.agents.components.option_networks import SMALLEST, OptionChoices, StreamOptionAgent, mix_values
+from hrl_escape.agents.components.option_networks import SMALLEST, OptionChoices, OptionRolloutAgent, mix_values
 from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     compute_advantages,
@@ -87,7 +87,7 @@ class DACSettings(AgentSettings):
     """Weight of the mean termination in the loss. More makes options last longer."""
 
 
-class DAC(StreamOptionAgent):
+class DAC(OptionRolloutAgent):
     """PPO in two decision processes with the same rewards and one critic q(s, o).
 
         high: state (s, o-), action o    pi(o | s, o-) = (1 - beta_o-(s)) [o = o-] + beta_o-(s) pi_Omega(o | s)

@@ -34,7 +34,7 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_log_policy,
     take_column,
 )
-from hrl_escape.agents.components.stream_rollouts import keep_decision, stack_decisions, unstack_decisions
+from hrl_escape.agents.components.rollout_rows import keep_decision, stack_decisions, unstack_decisions
 from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 

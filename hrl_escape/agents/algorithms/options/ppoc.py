@@ -22,7 +22,7 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.networks import Learner
-from hrl_escape.agents.components.option_networks import OptionChoices, StreamOptionAgent, mix_values
+from hrl_escape.agents.components.option_networks import OptionChoices, OptionRolloutAgent, mix_values
 from hrl_escape.agents.components.policy_gradient import Rollout, take_column
 from hrl_escape.agents.state import Kept, read_value
 from hrl_escape.settings import Range
@@ -112,7 +112,7 @@ class OptionSamples(NamedTuple):
     goes_on: Tensor  # bool, whether the task continues
 
 
-class PPOC(StreamOptionAgent):
+class PPOC(OptionRolloutAgent):
     """Learn pi_o, Q(s, o), pi_Omega and beta_o from decisions (s, o, a) -> R, s'.
 
         arrival      U = Q(s', o) if o continues, Q(s', o') - cost if it ended and o' was chosen; the mean of both if

@@ -20,14 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import AgentSettings, SMDPTransition
+from hrl_escape.agents.agent import AgentSettings
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import Learner, make_generator, make_network
-from hrl_escape.agents.components.option_networks import OptionChoices, OptionHeads, StreamOptionAgent
+from hrl_escape.agents.components.option_networks import OptionChoices, OptionHeads, OptionRolloutAgent
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_advantages, take_column
+from hrl_escape.agents.decisions import Decisions
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.state import Kept
-from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range
 
 
@@ -113,7 +113,7 @@ class SkillHeads(OptionHeads):
         return torch.full((len(observation), self.options), 1 / self.options, device=observation.device)
 
 
-class DIAYN(StreamOptionAgent):
+class DIAYN(OptionRolloutAgent):
     """One skill z an episode, drawn evenly, and PPO within skills.
 
     A skill is paid
@@ -140,7 +140,7 @@ class DIAYN(StreamOptionAgent):
         sees_bits = self.settings.goal == "bits" and isinstance(observation_space, spaces.Box)
         self._reader = FactorReader(observation_space, self.name) if sees_bits else None
         self._returns, self._episodes = np.zeros(self.options), np.zeros(self.options, np.int64)
-        self._earned, self._is_warned = np.zeros(1), False  # so far, in each stream's episode
+        self._earned, self._is_warned = np.zeros(1), False  # so far, in each environment's episode
 
     # --- skills -----------------------------------------------------------------------
 
@@ -160,43 +160,37 @@ class DIAYN(StreamOptionAgent):
 
     # --- learning ---------------------------------------------------------------------
 
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision and what its episode earned; update when the rollout is full."""
-        if self._open is not None:
-            self._earned = np.zeros(1)
-        over = transition.terminated or transition.truncated
-        self._note([0], [self._option], [transition.summed_reward], [over], [transition.next_observation])
-        return super().observe(transition)
+    def observe(self, batch: Decisions) -> Mapping[str, float]:
+        """Store the decisions and what their episodes earned; update when the rollout is full."""
+        over = batch.terminated | batch.truncated
+        if self._many is None:
+            self._note(batch.env, [self._option], batch.summed_reward, over, batch.next_observation)
+        else:
+            option = self._many[1].get_running(batch.env)
+            parts = batch.env, option, batch.summed_reward, over, batch.next_observation
+            self._note(*(part.cpu().numpy() for part in parts))
+        return super().observe(batch)
 
-    def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move to a device; every stream begins an episode, of which nothing has been earned."""
-        super().begin_streams(count, device)
-        self._earned = np.zeros(count)
+    def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
+        """Begin an episode in every environment, in which nothing has been earned."""
+        super().begin_episodes(num_envs, device)
+        self._earned = np.zeros(num_envs)
 
     def move(self, device: torch.device) -> None:
         """Move networks, optimisers and what waits for updates to a device."""
         super().move(device)
         self._judge.move(device)
 
-    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
-        """The same for decisions of many streams."""
-        assert self._open is not None, "begin_streams comes first"
-        option = self._open[1].get_running(decisions.stream)
-        parts = (decisions.stream, option, decisions.summed_reward, decisions.terminated | decisions.truncated,
-                 decisions.next_observation)
-        self._note(*(part.cpu().numpy() for part in parts))
-        return super().observe_streams(decisions)
-
-    def _note(self, stream: ArrayLike, option: ArrayLike, reward: ArrayLike, over: ArrayLike, reached: ArrayLike
+    def _note(self, env: ArrayLike, option: ArrayLike, reward: ArrayLike, over: ArrayLike, reached: ArrayLike
               ) -> None:
         """Add up what skills earn, and notice which components of observations are no bits; arrays (n, ...)."""
-        stream, option, over = np.asarray(stream), np.asarray(option), np.asarray(over, dtype=np.bool_)
-        if self._reader is not None and len(stream):
-            self._reader.notice(np.asarray(reached, dtype=np.float64).reshape(len(stream), -1))
-        self._earned[stream] += np.asarray(reward)
-        np.add.at(self._returns, option[over], self._earned[stream[over]])
+        env, option, over = np.asarray(env), np.asarray(option), np.asarray(over, dtype=np.bool_)
+        if self._reader is not None and len(env):
+            self._reader.notice(np.asarray(reached, dtype=np.float64).reshape(len(env), -1))
+        self._earned[env] += np.asarray(reward)
+        np.add.at(self._returns, option[over], self._earned[env[over]])
         np.add.at(self._episodes, option[over], 1)
-        self._earned[stream[over]] = 0.0
+        self._earned[env[over]] = 0.0
 
     def read_goals(self, observation: Tensor) -> Tensor:
         """The part of encoded observations that the discriminator sees, the rest 0; (n, ...)."""

@@ -21,7 +21,7 @@ from hrl_escape.agents.components.exploration import choose_best, make_rng, samp
 from hrl_escape.agents.components.tables import ResolutionSettings, make_cell_finder
 from hrl_escape.agents.hierarchy.runner import CallRunner, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Return, Seen, Stack, Step
-from hrl_escape.agents.seam import serve_one
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 

@@ -6,7 +6,7 @@ Other than in the paper, the manager discounts by gamma^k, the time that a goal 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import AgentSettings, count_actions
+from hrl_escape.agents.agent import AgentSettings, SMDPTransition, count_actions
 from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.exploration import (
     choose_best,
@@ -37,7 +37,6 @@ from hrl_escape.agents.hierarchy.goal_space import GoalSet, Worker, make_goal_hi
 from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.task import Return, Seen, Stack, Step
 from hrl_escape.agents.state import Stateful
-from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.settings import Range
 
 
@@ -188,13 +187,13 @@ class HDqn(CallRunner):
         self._steps += step.duration
         return metrics
 
-    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
-        """Learn from each row; a network makes one update from as many backups as in one environment."""
+    def observe_each(self, decisions: Iterable[tuple[int, SMDPTransition]]) -> Mapping[str, float]:
+        """Learn from each decision; a network makes one update from as many backups as in one environment."""
         levels = {name: level for name, level in (("manager_error", self.manager), ("worker_error", self.worker))
                   if isinstance(level, _NetworkValues)}
         for level in levels.values():
             level.waits = True
-        metrics = super().observe_streams(decisions)
+        metrics = super().observe_each(decisions)
         for level in levels.values():
             level.waits = False
         return {**metrics, **{name: level.update(most=1) for name, level in levels.items()}}

@@ -45,8 +45,8 @@ from hrl_escape.agents.hierarchy.machine import (
 )
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.agents.single_env import SwitchingAgent
 from hrl_escape.agents.state import Kept
-from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
@@ -106,7 +106,7 @@ class _Point(NamedTuple):
     chosen: int
 
 
-class Hamq(RowStreamAgent):
+class Hamq(SwitchingAgent):
     """Values of the choices that a program leaves open.
 
     If c was chosen at a choice point (s, m), R was earned in k primitives, and (s', m') is the next choice point:
@@ -323,7 +323,7 @@ class Hamq(RowStreamAgent):
     @property
     def _kept_choice(self) -> list[Any] | None:
         """With several environments, inputs and choice points of a primitive that has not ended yet."""
-        if self._stream is None or len(self._run.inputs) == self._told:
+        if self._env is None or len(self._run.inputs) == self._told:
             return None
         return [self._list_inputs(self._run.inputs[self._told :]), repr([tuple(point) for point in self._passed])]
 

@@ -24,8 +24,8 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.tables import make_discretiser
 from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.agents.single_env import SwitchingAgent
 from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.settings import Range
 
@@ -75,7 +75,7 @@ class HdgSettings(AgentSettings):
     """Most states; memory grows with its square."""
 
 
-class Hdg(RowStreamAgent):
+class Hdg(SwitchingAgent):
     """Distances D from each state, by action, to the goals stored there: near ones and all landmarks.
 
     After a from s to s' in k primitives, for every goal g of s, which are those in its region and neighbouring ones:

@@ -24,8 +24,8 @@ from hrl_escape.agents.components.tables import (
     ValueTable,
     make_discretiser,
 )
+from hrl_escape.agents.single_env import SwitchingAgent
 from hrl_escape.agents.state import Kept
-from hrl_escape.agents.streams import RowStreamAgent
 from hrl_escape.settings import Range
 
 
@@ -76,7 +76,7 @@ class _Turn(NamedTuple):
     subgoal: bytes | None
 
 
-class HqLearning(RowStreamAgent):
+class HqLearning(SwitchingAgent):
     """Values of primitives by agent and observation, and of subgoals by agent.
 
     Agent i acts until it observes its subgoal g_i after at least one primitive; then i + 1 takes over, and the last one

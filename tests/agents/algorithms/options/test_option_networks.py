@@ -11,6 +11,7 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.option_networks import NONE, OptionChoices, mix_values, mix_with_former
 from hrl_escape.agents.components.policy_gradient import Rollout
 from hrl_escape.agents.making import make_agent
+from hrl_escape.agents.single_env import serve_one
 from hrl_escape.errors import UnknownNameError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
@@ -119,12 +120,12 @@ def test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_
 
 def test_rows_tell_which_option_ran_before_and_whether_one_was_chosen():
     agent = make("dac", rollout=1_000)
-    rng = np.random.default_rng(0)
+    served, rng = serve_one(agent), np.random.default_rng(0)
     for number in range(200):
         here, there = rng.standard_normal((2, 5)).astype(np.float32)
-        action, over = agent.act(here, np.ones(ACTIONS, np.bool_)), number % 10 == 9
-        agent.observe(SMDPTransition(here, action, np.ones(ACTIONS, np.bool_), 0.0, 0.0, 1, GAMMA, there,
-                                     np.ones(ACTIONS, np.bool_), False, over))
+        action, over = served.act(here, np.ones(ACTIONS, np.bool_)), number % 10 == 9
+        served.observe(SMDPTransition(here, action, np.ones(ACTIONS, np.bool_), 0.0, 0.0, 1, GAMMA, there,
+                                      np.ones(ACTIONS, np.bool_), False, over))
     option, former, is_chosen = (np.array(column) for column in zip(*agent._choices, strict=True))
     first = np.arange(200) % 10 == 0
     assert (former[first] == NONE).all() and is_chosen[first].all()

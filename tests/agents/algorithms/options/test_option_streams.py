@@ -9,9 +9,9 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
-from hrl_escape.agents.components.option_networks import NONE
+from hrl_escape.agents.components.option_networks import NONE, OptionChoices
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.making import make_agent
-from hrl_escape.agents.streams import StreamTransitions
 from tests.agents.algorithms.options.test_option_networks import (
     ACTIONS,
     GAMMA,
@@ -41,7 +41,7 @@ class Lives:
         self._ends = [np.cumsum([len(rewards) for rewards, _ in life]) for life in self.lives]
         self.rows = [[] for _ in range(count)]
         self._now = [self._see() for _ in range(count)]
-        agent.begin_streams(count, CPU)
+        agent.begin_episodes(count, CPU)
 
     @property
     def decisions(self):
@@ -64,7 +64,7 @@ class Lives:
 
     def _ask(self, asking):
         seen, masks = (torch.from_numpy(np.stack(part)) for part in zip(*(self._now[i] for i in asking), strict=True))
-        actions = self.agent.act_streams(seen, masks, torch.tensor(asking))
+        actions = self.agent.act(Moments(torch.tensor(asking), seen, masks))
         for i, action in zip(asking, actions.tolist(), strict=True):
             self.rows[i].append([*self._now[i], action])
 
@@ -74,13 +74,19 @@ class Lives:
             rewards, end = self.lives[i][len(self.rows[i]) - 1]
             reached, mask = self._see()
             discounted = float(sum(GAMMA**n * reward for n, reward in enumerate(rewards)))
-            observation, _, action = self.rows[i][-1]
+            observation, legal, action = self.rows[i][-1]
             self.rows[i][-1] += [reached, len(rewards), discounted, end]
             self._now[i] = (reached, mask) if end == "on" else self._see()
-            fields.append((i, observation, action, np.float32(discounted), np.float32(rewards.sum()), len(rewards),
-                           reached, mask, end == "terminated", end == "truncated"))
-        self.agent.observe_streams(StreamTransitions(*(torch.from_numpy(np.array(field))
-                                                       for field in zip(*fields, strict=True))))
+            fields.append((i, observation, legal, action, np.float32(discounted), np.float32(rewards.sum()),
+                           len(rewards), np.float32(GAMMA ** len(rewards)), reached, mask, end == "terminated",
+                           end == "truncated"))
+        self.agent.observe(Decisions(*(torch.from_numpy(np.array(field)) for field in zip(*fields, strict=True))))
+
+
+def find_last(rollout):
+    """True at the latest decision of each environment."""
+    return torch.stack([place == rollout.place[rollout.stream == env].max()
+                        for env, place in zip(rollout.stream, rollout.place, strict=True)])
 
 
 def spy(agent, monkeypatch):
@@ -175,12 +181,12 @@ def test_runs_of_options_are_counted_in_every_stream():
     agent = make("dac", rollout=10**6)
     lives = Lives(agent, 8, 0)
     lives.run()
-    rollout, choices = agent._gather()
+    rollout, choices = agent._many[0].gather()
     agent.state_dict()  # what is over is reported
-    last = agent._open[0].find_last(rollout.stream, rollout.place)
+    last = find_last(rollout)
     begun, unfinished = int(choices.is_chosen.sum()), int((last & ~rollout.over).sum())
     assert len(agent.log._runs) == begun - unfinished and unfinished > 0
-    lasted, running = np.array(agent.log._runs), agent._open[1].state_dict()
+    lasted, running = np.array(agent.log._runs), agent._many[1].state_dict()
     for option in range(OPTIONS):
         made = lasted[lasted[:, 0] == option, 1].sum() + running["decisions"][running["option"] == option].sum()
         assert made == int((choices.option == option).sum())
@@ -188,16 +194,16 @@ def test_runs_of_options_are_counted_in_every_stream():
 
 def test_streams_draw_ends_and_options_with_the_chances_that_are_kept_with_them():
     agent, count = make("dac", rollout=10**6), 20_000
-    agent.begin_streams(count, CPU)
+    agent.begin_episodes(count, CPU)
     state = torch.tensor([[0.5, -0.5, 0.3, 1.0, -1.0]])
     seen, mask, streams = state.expand(count, 5), torch.ones(count, ACTIONS, dtype=torch.bool), torch.arange(count)
     _, _, chooser, beta = read(agent, state)
 
     def decide():
-        action = agent.act_streams(seen, mask, streams)
+        action = agent.act(Moments(streams, seen, mask))
         one, no = torch.ones(count), torch.zeros(count, dtype=torch.bool)
-        agent.observe_streams(StreamTransitions(streams, seen, action, one, one, streams * 0 + 1, seen, mask, no, no))
-        return agent._chunks[-1][1]
+        agent.observe(Decisions(streams, seen, mask, action, one, one, one.long(), GAMMA * one, seen, mask, no, no))
+        return OptionChoices(*(field[-count:] for field in agent._many[0].gather()[1]))
 
     first, then = decide(), decide()
     assert np.bincount(first.option, minlength=OPTIONS) / count == pytest.approx(chooser[0], abs=0.015)
@@ -216,12 +222,12 @@ def test_streams_draw_ends_and_options_with_the_chances_that_are_kept_with_them(
 def test_a_decision_that_outlasts_its_rollout_keeps_the_chances_that_it_was_made_with(name, monkeypatch):
     agent = make(name, rollout=4, stream_rollout=1, batch_size=4, epochs=2, learning_rate=0.05, **(
         {"least_samples": 2} if name == "ppoc" else {}))
-    agent.begin_streams(3, CPU)
+    agent.begin_episodes(3, CPU)
     rng = np.random.default_rng(0)
     mask, no = torch.ones(3, ACTIONS, dtype=torch.bool), torch.zeros(1, dtype=torch.bool)
     seen = torch.from_numpy(rng.standard_normal((3, 5)).astype(np.float32))
     policies, _, chooser, _ = read(agent, seen)
-    action = agent.act_streams(seen, mask, torch.arange(3))
+    action = agent.act(Moments(torch.arange(3), seen, mask))
     before = agent.heads.policy.weights.clone()
     taught, learn = [], agent._learn
     monkeypatch.setattr(agent, "_learn", lambda rollout, choices: (
@@ -231,12 +237,12 @@ def test_a_decision_that_outlasts_its_rollout_keeps_the_chances_that_it_was_made
 
     def end(stream, observation, chosen):
         one = torch.ones(1)
-        agent.observe_streams(StreamTransitions(torch.tensor([stream]), observation, chosen, one, one,
-                                                torch.tensor([3]), observation + 1, mask[:1], no, no))
+        agent.observe(Decisions(torch.tensor([stream]), observation, mask[:1], chosen, one, one, torch.tensor([3]),
+                                GAMMA**3 * one, observation + 1, mask[:1], no, no))
 
     end(0, seen[:1], action[:1])
     for _ in range(6):
-        chosen = agent.act_streams(seen[:1] + 1, mask[:1], torch.tensor([0]))
+        chosen = agent.act(Moments(torch.tensor([0]), seen[:1] + 1, mask[:1]))
         end(0, seen[:1] + 1, chosen)
     assert len(taught) == 1 and not torch.equal(agent.heads.policy.weights, before), "the networks have moved on"
     end(2, seen[2:], action[2:])
@@ -296,13 +302,13 @@ def test_no_outcome_shows_the_next_episode_and_no_option_goes_on_into_it(name, m
 def test_episodes_that_are_dropped_count_as_truncated_and_options_do_not_go_on():
     agent = make("dac", rollout=10**6)
     Lives(agent, 8, 0).run()
-    before, _ = agent._gather()
-    last = agent._open[0].find_last(before.stream, before.place)
-    agent.begin_streams(8, CPU)
-    after, _ = agent._gather()
+    before, _ = agent._many[0].gather()
+    last = find_last(before)
+    agent.begin_episodes(8, CPU)
+    after, _ = agent._many[0].gather()
     assert torch.equal(after.over, before.over | last) and bool((last & ~before.over).any())
-    agent.act_streams(torch.zeros(8, 5), torch.ones(8, ACTIONS, dtype=torch.bool), torch.arange(8))
-    assert (agent._open[1].state_dict()["former"] == NONE).all()
+    agent.act(Moments(torch.arange(8), torch.zeros(8, 5), torch.ones(8, ACTIONS, dtype=torch.bool)))
+    assert (agent._many[1].state_dict()["former"] == NONE).all()
 
 
 def test_a_rollout_of_many_streams_is_cut_into_as_many_minibatches_as_one_of_one():

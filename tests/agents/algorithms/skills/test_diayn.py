@@ -10,6 +10,7 @@ from gymnasium import spaces
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.making import make_agent
+from hrl_escape.agents.single_env import serve_one
 from tests.agents.running import learn
 
 ALL = np.ones(3, np.bool_)
@@ -36,8 +37,8 @@ class Bits(gymnasium.Env):
 
 def show(agent, skill, here, there, reward=1.0, terminated=False, truncated=False):
     agent._option = skill
-    agent.observe(SMDPTransition(np.array(here, np.float32), 0, ALL, reward, reward, 1, agent.gamma,
-                                 np.array(there, np.float32), ALL, terminated, truncated))
+    serve_one(agent).observe(SMDPTransition(np.array(here, np.float32), 0, ALL, reward, reward, 1, agent.gamma,
+                                            np.array(there, np.float32), ALL, terminated, truncated))
 
 
 def make(**settings):
@@ -87,12 +88,12 @@ def test_the_reward_is_the_forecast_at_the_state_reached_against_an_even_guess(m
 
 def test_a_skill_is_drawn_evenly_and_lasts_its_episode():
     agent = make(rollout=2_000)
-    drawn = []
+    served, drawn = serve_one(agent), []
     for number in range(600):
-        agent.act(np.zeros(4, np.float32), ALL)
+        served.act(np.zeros(4, np.float32), ALL)
         drawn.append(agent._option)
-        agent.observe(SMDPTransition(np.zeros(4, np.float32), 0, ALL, 0.0, 0.0, 1, 0.9, np.zeros(4, np.float32), ALL,
-                                     False, number % 5 == 4))
+        served.observe(SMDPTransition(np.zeros(4, np.float32), 0, ALL, 0.0, 0.0, 1, 0.9, np.zeros(4, np.float32), ALL,
+                                      False, number % 5 == 4))
     episodes = np.array(drawn).reshape(-1, 5)
     assert (episodes == episodes[:, :1]).all()
     assert np.bincount(episodes[:, 0], minlength=3).min() > 20

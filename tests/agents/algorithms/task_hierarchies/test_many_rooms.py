@@ -15,12 +15,13 @@ from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
 from hrl_escape.agents.algorithms.task_hierarchies.hdg import Hdg
 from hrl_escape.agents.algorithms.task_hierarchies.hq_learning import HqLearning
 from hrl_escape.agents.algorithms.task_hierarchies.maxq_q import MaxqQ
+from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.hierarchy.runner import StackAgent
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import maxq
-from hrl_escape.agents.registry import get_agent_class, list_hierarchy_agents, list_stream_agents
-from hrl_escape.agents.streams import StreamTransitions
+from hrl_escape.agents.registry import get_agent_class, list_hierarchy_agents, list_many_env_agents
+from hrl_escape.agents.single_env import serve_many
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import AgentSettingsError, UnsupportedError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
@@ -130,14 +131,14 @@ def test_one_stream_learns_what_one_environment_teaches():
             kind = get_agent_class(name)
             agents.append(kind(env.observation_space, env.action_space, 0, kind.Settings(**SETTINGS.get(name, {}))))
         alone, streamed = agents
-        streamed.begin_streams(1, torch.device("cpu"))
+        served = serve_many(streamed)
+        served.begin_episodes(1, torch.device("cpu"))
         for transition in interact(alone, make_env(1, longest=10**9), 150):
-            fields = {field: torch.from_numpy(np.array([getattr(transition, field, 0)]))
-                      for field in ("action_mask", *StreamTransitions._fields)}
-            legal = fields.pop("action_mask")
-            action = streamed.act_streams(fields["observation"], legal, fields["stream"])
+            decision = Decisions(*(torch.from_numpy(np.array([getattr(transition, field, 0)]))
+                                   for field in Decisions._fields[:-1]))
+            action = served.act(Moments(decision.env, decision.observation, decision.action_mask))
             assert int(action) == transition.action, name
-            streamed.observe_streams(StreamTransitions(**fields))
+            served.observe(decision)
         expected, found = alone.state_dict(), streamed.state_dict()
         (episode,) = found.pop("episodes", [{}])
         del found["open_masks"]
@@ -199,7 +200,7 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, monkeypatch):
             return InterruptedOptions(4, "paper-one-button", observation="features", discount=0.99)
         return InterruptedRooms(8, "paper-one-button", observation="features")
 
-    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 128)
+    monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 128)
     arguments = {"primitives": 400, "seed": 1, "eval_every": 200, "eval_episodes": 1, "checkpoint_seconds": 0.0,
                  "settings": SETTINGS.get(name, {})}
     whole, env = train(name, make(), out=tmp_path / "whole", **arguments), make()
@@ -213,7 +214,7 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, monkeypatch):
 
 
 def test_all_of_them_learn_from_many_environments_and_calls_of_streams_are_no_single_environments():
-    assert set(list_hierarchy_agents()) <= set(list_stream_agents())
+    assert set(list_hierarchy_agents()) <= set(list_many_env_agents())
     env = make_rooms()
     agent = make_agent("maxq-q", env.single_observation_space, env.single_action_space, 0)
     train(agent, env, primitives=100, eval_episodes=0)
@@ -223,16 +224,17 @@ def test_all_of_them_learn_from_many_environments_and_calls_of_streams_are_no_si
 def test_what_only_some_streams_log_is_a_mean_over_these():
     class Telling(MaxqQ):
         def learn(self, step, returns):
-            return {"always": 1.0} | ({"seldom": 6.0} if self._stream == 2 else {})
+            return {"always": 1.0} | ({"seldom": 6.0} if self._env == 2 else {})
 
     env = make_env(0)
     agent = make(Telling, env)
-    agent.begin_streams(4, torch.device("cpu"))
+    served = serve_many(agent)
+    served.begin_episodes(4, torch.device("cpu"))
     rows, mask = torch.arange(4), torch.ones((4, 3), dtype=torch.bool)
-    action, zeros = agent.act_streams(rows, mask, rows), torch.zeros(4)
+    action, zeros = served.act(Moments(rows, rows, mask)), torch.zeros(4)
     flags = torch.zeros(4, dtype=torch.bool)
-    told = agent.observe_streams(StreamTransitions(rows, rows, action, zeros, zeros, torch.ones(4, dtype=torch.int64),
-                                                   rows, mask, flags, flags))
+    told = served.observe(Decisions(rows, rows, mask, action, zeros, zeros, torch.ones(4, dtype=torch.int64),
+                                    zeros + GAMMA, rows, mask, flags, flags))
     assert told == {"always": 1.0, "seldom": 6.0}
 
 
@@ -245,18 +247,18 @@ def test_tasks_that_share_a_learner_keep_their_open_decisions_apart():
     agent = StackAgent(shared, env.observation_space, 0, StackAgent.Settings(gamma=GAMMA))
     masks, told = {}, []
     learner = agent.learners["root"]
-    act, observe = learner.act_streams, learner.observe_streams
+    act, observe = learner.act, learner.observe
 
-    def note(observation, mask, stream):
-        masks[int(stream)] = mask[0].tolist()
-        return act(observation, mask, stream)
+    def note(observation, mask):
+        masks[learner._env] = mask.tolist()
+        return act(observation, mask)
 
-    def check(decisions):
-        told.append(int(decisions.stream) % 2)
-        assert learner._open_masks[int(decisions.stream)].tolist() == masks[int(decisions.stream)]
-        return observe(decisions)
+    def check(transition):
+        told.append(learner._env % 2)
+        assert transition.action_mask.tolist() == masks[learner._env]
+        return observe(transition)
 
-    learner.act_streams, learner.observe_streams = note, check
+    learner.act, learner.observe = note, check
     teach_many(agent, 4, 2, 400, longest=40)
     assert set(told) == {0, 1} and set(masks) == set(range(8))
 

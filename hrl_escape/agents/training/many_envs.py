@@ -35,14 +35,14 @@ from hrl_escape.agents.agent import (
     set_option_discount,
 )
 from hrl_escape.agents.decisions import Decisions, Moments
-from hrl_escape.agents.registry import split_name
-from hrl_escape.agents.seam import serve_many
-from hrl_escape.agents.state import Stateful, StateTree
-from hrl_escape.agents.streams import (
+from hrl_escape.agents.many_envs import (
     EndedDecisions,
-    Streams,
+    ManyEnvs,
     gather_decisions,
 )
+from hrl_escape.agents.registry import split_name
+from hrl_escape.agents.single_env import serve_many
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
@@ -55,7 +55,7 @@ REMADE = 200_000
 """Most actions, of all streams together, that stand for running episodes."""
 
 
-class VectorStreams:
+class VectorManyEnvs:
     """Streams of a vector environment, one decision of each a step.
 
     `infos` may hold what `make_transition` reads of `info`, as arrays: `action_mask`, and for decisions of several
@@ -318,7 +318,7 @@ def _make_array(value: Any) -> NDArray[Any]:
         return np.empty(0, object)
 
 
-def make_streams(env: VectorEnv | Streams, gamma: float) -> Streams:
+def make_many_envs(env: VectorEnv | ManyEnvs, gamma: float) -> ManyEnvs:
     """The streams of a vector environment: its own, or one decision of each a step; streams stay as they are.
 
     A wrapped vector environment is stepped through its wrappers, all decisions side by side, even if the environment
@@ -326,7 +326,7 @@ def make_streams(env: VectorEnv | Streams, gamma: float) -> Streams:
     """
     inner: Any = env
     if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_streams")):
-        return VectorStreams(env, gamma)
+        return VectorManyEnvs(env, gamma)
     streams = inner.get_streams() if isinstance(env, VectorEnv) else env
     set_option_discount(streams, gamma)
     return streams
@@ -338,15 +338,15 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt
 _KEPT = 1 << 30  # bytes
 
 
-class StreamRun(Run):
+class ManyEnvsRun(Run):
     """A run whose unit is a segment: a fixed number of steps of all streams."""
 
-    def __init__(self, agent: Agent, env: VectorEnv | Streams, eval_env: gymnasium.Env, arguments: RunArguments,
+    def __init__(self, agent: Agent, env: VectorEnv | ManyEnvs, eval_env: gymnasium.Env, arguments: RunArguments,
                  callbacks: Sequence[Callback] = ()) -> None:
         super().__init__(agent, eval_env, eval_env, arguments, callbacks=callbacks)
         keep_freed_memory()
         self._source, self._begun = env, 0
-        self.streams = streams = make_streams(env, agent.gamma)
+        self.streams = streams = make_many_envs(env, agent.gamma)
         check_same_observations(streams.observation_space, eval_env.observation_space)
         self._steps = max(SEGMENT_STEPS, SEGMENT_PRIMITIVES // streams.count)
         self._server = serve_many(agent)
@@ -364,7 +364,7 @@ class StreamRun(Run):
 
     def _reset_streams(self) -> None:
         self.streams.reset(compute_episode_seed(self.arguments.seed, "streams", self._begun))
-        self._tally = _StreamTally(self.streams.count, self.streams.device)
+        self._tally = _Tally(self.streams.count, self.streams.device)
         self._masks = self.streams.action_mask.clone()  # legal at each environment's present decision
         self._is_fresh = True
 
@@ -424,7 +424,7 @@ class StreamRun(Run):
             self._masks = torch.from_numpy(np.array(state["masks"])).to(self.streams.device)
 
 
-class _StreamTally(Stateful):
+class _Tally(Stateful):
     """Returns and lengths of running episodes, and sums over those that ended, on the device.
 
     The sums are empty between segments, so that the state is that of the running episodes.

@@ -1,8 +1,4 @@
-"""Rollouts of agents that have one path for one environment and another for many.
-
-Decisions of one environment are kept as rows, and stacked before an update. Those of many streams are collected as
-tensors.
-"""
+"""Rollouts of one environment as rows, which are stacked as tensors before an update."""
 
 from __future__ import annotations
 
@@ -12,24 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.policy_gradient import Rollout
-from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
-
-
-def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,
-                      bonus: Tensor | None = None) -> Rollout:
-    """Decisions of streams that ended, with what they were chosen with; `bonus` (n,) is in units of return."""
-    reward, bootstrap = compute_backups(decisions, settings)
-    reward = reward if bonus is None else reward + bonus
-    over = decisions.terminated | decisions.truncated
-    mask, log_probability, place, memory = choices.end(decisions.stream, over)
-    return Rollout(encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
-                   reward * settings.reward_scale, bootstrap, decisions.duration, over,
-                   encoder.encode_many(decisions.next_observation), memory, decisions.stream, place)
 
 
 def keep_decision(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, memory: NDArray[np.float32],
