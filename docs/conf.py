@@ -13,6 +13,7 @@ author = "The hrl-escape contributors"
 version = release = __version__
 
 extensions = [
+    "agent_table",
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
