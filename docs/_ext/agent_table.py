@@ -43,11 +43,12 @@ LEARNS = {
     "option-critic": (BOTH, "table"), "ppoc": (BOTH, "network"), "covering-options": (VALUE, "table"),
     "diayn": (BOTH, "network"), "eigenoptions": (VALUE, "table"), "skill-chaining": (VALUE, "table"),
     "hrc": (MODEL, "table"), "met-r-max": (MODEL, "table"), "vigorito-barto": (MODEL, "table"),
-    "deep-abstract-q": ("value and model", "network"), "feudal-rl": (VALUE, "table"), "h-dqn": (VALUE, "network"),
-    "h-uct": (MODEL, "table"), "hac": (VALUE, "table"), "hamq": (VALUE, "table"), "hdg": (VALUE, "table"),
-    "hiro": (VALUE, "table"), "hq-learning": (VALUE, "table"), "hrac": (VALUE, "table"), "macro-q": (VALUE, "table"),
-    "maxq-q": (VALUE, "table"), "option-keyboard": (VALUE, "table"), "r-maxq": (MODEL, "table"),
-    "sol": (BOTH, "network"), "behaviour-cloning": (POLICY, "network or table"), "cql": (VALUE, "network or table"),
+    "deep-abstract-q": ("value and model", "network or table"), "feudal-rl": (VALUE, "table"),
+    "h-dqn": (VALUE, "network or table"), "h-uct": (MODEL, "table"), "hac": (VALUE, "table"),
+    "hamq": (VALUE, "table"), "hdg": (VALUE, "table"), "hiro": (VALUE, "table"), "hq-learning": (VALUE, "table"),
+    "hrac": (VALUE, "table"), "macro-q": (VALUE, "table"), "maxq-q": (VALUE, "table"),
+    "option-keyboard": (VALUE, "table"), "r-maxq": (MODEL, "table"), "sol": (BOTH, "network"),
+    "behaviour-cloning": (POLICY, "network or table"), "cql": (VALUE, "network or table"),
     "decision-transformer": (POLICY, "network"), "fitted-q": (VALUE, "network or table"), "hiql": (BOTH, "network"),
     "iql": (BOTH, "network or table"), "sharsa": (BOTH, "network or table"),
 }
@@ -97,6 +98,12 @@ def supports_velocities(name: str) -> bool:
     return True
 
 
+def describe_learning(name: str) -> str:
+    """What an agent learns, with the form in parentheses."""
+    learns, form = LEARNS[name]
+    return f"{learns} ({form})" if form else learns
+
+
 def list_needs(name: str) -> str:
     """What an agent needs besides an environment."""
     needs = ["options"] if name in FOR_OPTIONS else []
@@ -115,7 +122,7 @@ class Agents(Table):
         for name in dict.fromkeys([*list_agents(), *list_hierarchy_agents(), *list_offline_agents()]):
             page = "offline" if name in list_offline_agents() else name
             rows.append((
-                f"[{AgentSpec.parse(name).title}]({page}.md) `{name}`", " by ".join(filter(None, LEARNS[name])),
+                f"[{AgentSpec.parse(name).title}]({page}.md) `{name}`", describe_learning(name),
                 "discrete, continuous" if supports_velocities(name) else "discrete", list_needs(name),
                 "yes" if name in many else "", *(describe_result(name, rung) for rung in SHOWN)))
         return make_table(("agent", "learns", "actions", "needs", "many environments",

@@ -147,7 +147,7 @@ class TunedSettings(Table):
                            for name, value in entry.settings.items()),
                  ", ".join(f"`{place}`" + (" (reported)" if place in entry.reported_in else "")
                            for place in entry.tried_in),
-                 str(entry.trials or "not written down"), entry.seeds or "not written down",
+                 str(entry.trials or "not recorded"), entry.seeds or "not recorded",
                  " ".join(filter(None, (entry.note, f"({entry.source})"))))
                 for entry in record]
         tuned = {agent for entry in record for agent in entry.agents}
