@@ -100,7 +100,7 @@ def check_place(place: str) -> tuple[int, list[str]]:
         for number, line in read_prose(path):
             words += len(line.split())
             found += [f"{path.relative_to(ROOT)}:{number}: {match[0].strip()!r}: {advice}"
-                      for advice, pattern in WORDS.items() for match in re.finditer(pattern, line)]
+                      for advice, pattern in WORDS.items() for match in re.finditer(pattern, line, re.IGNORECASE)]
     return words, found
 
 

@@ -101,7 +101,8 @@ def test_every_metric_and_preset_is_explained(site: Path):
 
 def test_every_agent_is_a_row_of_the_table(site: Path):
     page = read(site / "agents" / "index.html").partition("All agents")[2]
-    assert [name for name in (*list_agents(), *list_hierarchy_agents(), *list_offline_agents()) if name not in page] == []
+    agents = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
+    assert [name for name in agents if name not in page] == []
 
 
 def test_every_command_is_on_the_page_of_the_command_line(site: Path):
@@ -161,7 +162,7 @@ def count_words_before_a_picture(page: str) -> int:
 def test_no_tutorial_and_no_guide_keeps_its_first_screen_without_a_picture(site: Path):
     """Some 110 words fill half of a laptop's screen."""
     guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "room-configuration", "puzzles",
-              "viewer")
+              "viewer", "environments/index")
     pages = [f"tutorials/{name}" for name in TUTORIALS] + list(guides) + ["results/index"]
     words = {page: count_words_before_a_picture((site / f"{page}.html").read_text("utf-8")) for page in pages}
     assert {page: count for page, count in words.items() if count > 110} == {}
