@@ -35,7 +35,7 @@ myst_heading_anchors = 3
 default_role = "code"  # docstrings write `names` as Markdown does
 suppress_warnings = ["toc.empty_glob", "toc.not_included"]  # results arrive as their commands write them
 
-napoleon_use_ivar = True  # fields of a NamedTuple or dataclass are told once, with their class
+napoleon_use_ivar = True  # fields of a NamedTuple or dataclass are listed once, with their class
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"

@@ -52,7 +52,7 @@ LEARNS = {
     "decision-transformer": (POLICY, "network"), "fitted-q": (VALUE, "network or table"), "hiql": (BOTH, "network"),
     "iql": (BOTH, "network or table"), "sharsa": (BOTH, "network or table"),
 }
-"""Agent -> what it learns, and in which form."""
+"""Agent -> what it learns, and its representation."""
 FOR_OPTIONS = ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "vigorito-barto")
 """Agents whose models are of options and buttons."""
 

@@ -44,7 +44,7 @@ class Card(NamedTuple):
     Attributes:
         name: heading.
         about: what it is, in a line.
-        id: by which it is made.
+        id: name of its set.
         room: whose escape is played.
         facts: (what, how much), in order.
         command: to try it.

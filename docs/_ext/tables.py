@@ -211,7 +211,7 @@ class Layouts(Table):
 
 
 class Prices(Table):
-    """`{prices}`: the price of textbook hierarchies, computed anew."""
+    """`{prices}`: costs of textbook hierarchies, computed during the build."""
 
     def write(self) -> str:
         """One row a hierarchy."""
@@ -239,7 +239,7 @@ class PublishedRecordings(Table):
 
 
 class Usage(Table):
-    """`{usage} room`: what a command says with `--help`."""
+    """`{usage} room`: the help of a command."""
 
     def write(self) -> str:
         """The help as it is printed."""
