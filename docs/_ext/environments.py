@@ -194,7 +194,7 @@ class Environment(Picture):
             ("Termination", self.options.get("ends") or "The robot's axis is in the exit and the puzzle is solved."),
             ("Truncation", f"After {room.horizon:,} primitives."),
             ("Planner", f"{plan.cost} primitives, return {plan.compute_return():g} from instance 0" if plan
-             else "No plan: rigid bodies decide the result of a push."),
+             else "No plan of primitives: physics decides the result of a push. Options push in closed loop."),
             ("Tags", ", ".join(TAGS[preset])),
             ("Play it", f"`hrl-escape play --room {preset}`"),
         ]
