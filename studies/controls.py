@@ -18,10 +18,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.inference import ALPHA, compute_interval
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES
-from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
-from hrl_escape.comparison.verdict import count_things, tell_privileges
+from hrl_escape.benchmark.inference import ALPHA, compute_interval
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
+from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_iqm
+from hrl_escape.benchmark.verdict import count_things, tell_privileges
 from hrl_escape.env.pictures import palette
 from hrl_escape.names import join_words
 from hrl_escape.settings import read_record

@@ -27,7 +27,7 @@ from sphinx.util.docutils import SphinxDirective
 from tables import make_table
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.recording import record_episode
+from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, Rules
 from hrl_escape.env.observations.base import list_observations, make_observer

@@ -21,7 +21,7 @@ from sphinx.util.docutils import SphinxDirective
 from strip import Strip
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room, make_frames

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-MOVED = {"schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets"}
+MOVED = {"schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
+         "api/comparison": "api/benchmark"}
 """Former name of each page that has another name now."""
 
 

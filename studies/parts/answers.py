@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, LEVEL, correct_by_holm
+from hrl_escape.benchmark.inference import ALPHA, LEVEL, correct_by_holm
 from hrl_escape.names import count_nouns, join_words
 from studies.price.ratios import Middle, find_middle
 from studies.price.words import tell_number

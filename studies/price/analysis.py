@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from hrl_escape.agents.registry import get_recipe
-from hrl_escape.comparison.reporting.figures import GREYS, SPARE
+from hrl_escape.benchmark.reporting.figures import GREYS, SPARE
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.names import count_nouns, join_words

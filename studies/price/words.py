@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from hrl_escape.comparison.inference import ALPHA, compute_wilson_interval
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, compute_wilson_interval
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.price.ratios import (
     CostRatio,
