@@ -459,7 +459,7 @@ TAGS: dict[str, tuple[str, ...]] = {
     "pin-pad": ("classic puzzle",),
     "push-block": ("physics",),
 }
-"""What the rooms of each preset need from an agent, in a few words to search by."""
+"""Words to search presets by: properties of their rooms that matter to an agent."""
 
 
 def list_presets(*tags: str) -> list[str]:
