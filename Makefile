@@ -52,8 +52,9 @@ dist: $(STAMP) ## wheel and source into dist, built twice to the same bytes and 
 	diff -r dist build/again
 	twine check --strict dist/*
 
-lint: $(STAMP) ## style, types and which way imports run
+lint: $(STAMP) ## style, words, types and which way imports run
 	ruff check .
+	python docs/check_words.py
 	pyright --pythonpath $(VENV)/bin/python
 	lint-imports --no-cache
 

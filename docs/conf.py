@@ -13,11 +13,13 @@ author = "The hrl-escape contributors"
 version = release = __version__
 
 extensions = [
+    "agent_table",
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "api",
+    "environments",
     "findings",
     "gallery",
     "mathematics",
@@ -31,9 +33,9 @@ exclude_patterns = ["_build", "_ext", "images"]
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 default_role = "code"  # docstrings write `names` as Markdown does
-suppress_warnings = ["toc.empty_glob"]  # results arrive as their commands write them
+suppress_warnings = ["toc.empty_glob", "toc.not_included"]  # results arrive as their commands write them
 
-napoleon_use_ivar = True  # fields of a NamedTuple or dataclass are told once, with their class
+napoleon_use_ivar = True  # fields of a NamedTuple or dataclass are listed once, with their class
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"

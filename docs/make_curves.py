@@ -1,9 +1,9 @@
 """Make the learning curves that the agents' pages show: each agent flat and over options, in the paper's first room.
 
     python docs/make_curves.py          # those that are missing
-    python docs/make_curves.py dqn      # one, anew
+    python docs/make_curves.py dqn      # one, again
 
-Runs are kept in runs/curves and go on where they were stopped; what the site needs of them goes to docs/curves.
+Runs are kept in runs/curves and resume there. Their summaries for the site are in docs/curves.
 """
 
 from __future__ import annotations

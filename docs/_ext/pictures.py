@@ -2,7 +2,7 @@
 
 `{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`, with `:moving:`
 as a trajectory) and shows the map that the command draws, or with `:camera: chase` what a camera sees; with
-`:sampled: 1` the sampled motion to that target beside that of a plan of primitives. `{curve}`
+`:sampled: 1` the sampled motion to that target and the motion of a plan of primitives. `{curve}`
 draws what `python docs/make_curves.py` has kept, `{data-card}` the picture of a data set, `{mesh}` the way between two
 points of a mesh.
 """
@@ -107,7 +107,7 @@ class Room(Picture):
 
 
     def _draw_sampled(self, instance: RoomInstance, goal: PressGoal) -> list[nodes.Node]:
-        """The sampled way to a target beside that of a plan of primitives."""
+        """The sampled path to a target, and the path of a plan of primitives."""
         planner, name = get_planner(instance), instance.targets[goal.target].name
         state = planner.rules.make_state(instance.starts[0])
         found = {"sampled": MotionSampler(instance, MotionLimits()).plan(state, goal),
@@ -159,7 +159,7 @@ class DataCard(Picture):
 
 
 class Mesh(Picture):
-    """`{mesh} hall.obj 1.0 5.0 7.0 1.0`: the columns of a mesh beside the page, and a way from one point to another."""
+    """`{mesh} hall.obj 1.0 5.0 7.0 1.0`: a map of a mesh file in the page's folder, and a path between two points."""
 
     def run(self) -> list[nodes.Node]:
         """Read, plan, draw."""

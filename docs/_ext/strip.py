@@ -32,7 +32,7 @@ KEPT = Path(__file__).parents[1] / "images" / "strip.svg"
 SEED, TRAINING, SEARCHER, LEARNER = 3, 10_000, "search-nearest", "smdp-q-learning"
 FLOORS = ("pair", "chain-3", "chain-4")
 BATCH, BATCH_COLUMNS = 48, 16
-RATE, REST = 9.0, 2.0  # primitives a second, seconds of rest before all begin anew
+RATE, REST = 9.0, 2.0  # primitives a second, seconds of rest before all restart
 WIDTH, CELL, GAP, MAP, HEAD = 960, 312, 12, 236, 52  # pixels
 ROW = HEAD + MAP + 18 + GAP
 INK, SOFT, CARD, EDGE = "#22262e", "#555c69", "#fbf9f4", "#e5dfd2"
@@ -81,7 +81,7 @@ def solve(room: RoomInstance) -> Stage:
 
 
 def make_minds() -> list[Scene]:
-    """A learner, a searcher and the planner in the same room, from the same start."""
+    """A trained agent, a search baseline and the planner in the same room, from the same start."""
     room = generate(get_preset("clutter"), SEED)
     recorder = StateRecorder(gymnasium.make("hrl_escape/EscapeRoom-v1", instance=room, observation="features"))
     env = OptionsEnv(recorder, include_primitives=False)
@@ -115,7 +115,7 @@ def make_batch() -> list[Stage]:
     for step in range(max(plan.cost for plan in plans)):
         batch.step([plan.primitives[min(step, plan.cost - 1)] for plan in plans])
         for number, plan in enumerate(plans):
-            if step < plan.cost:  # a room that was left begins anew at the next step
+            if step < plan.cost:  # a room resets at the step after its exit
                 states[number].append(batch.room.get_room_state(number))
     return [Stage(describe_room(room), make_frames(Kinematics(room), seen))
             for room, seen in zip(rooms, states, strict=True)]
@@ -177,7 +177,7 @@ class Painter:
                 f'transform="translate({x} {y}){turn}" {style}>{inside}</rect>')
 
     def switch(self, attribute: str, changes: Sequence[tuple[int, str]]) -> str:
-        """An attribute that jumps at frames; nothing where it never does."""
+        """An attribute that changes at frames; empty if it never changes."""
         if len(changes) < 2:
             return ""
         return animate(attribute, [(self.second(frame) if frame else 0.0, value) for frame, value in changes],
@@ -248,7 +248,7 @@ def write(x: float, y: float, text: str, style: str, inside: str = "") -> str:
 
 
 def choose_loop(longest: int) -> float:
-    """Seconds after which all begin anew, if the longest episode has so many primitives."""
+    """Seconds until all restart, for the longest episode in primitives."""
     return round(longest / RATE + REST, 1)
 
 
@@ -304,7 +304,7 @@ def make_strip() -> str:
 
 
 class Strip(SphinxDirective):
-    """`{strip}`: the picture, made anew and kept with the site's images; the content is its caption."""
+    """`{strip}`: the picture, drawn during the build and kept with the site's images; the content is its caption."""
 
     has_content = True
 

@@ -14,6 +14,7 @@ import json
 import re
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Any
 
 from docutils import nodes
@@ -38,7 +39,7 @@ from hrl_escape.data.catalogue import RECORDING_KINDS, RUNGS, DataSpec
 from hrl_escape.data.published import read_published
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import list_observations, make_observer
-from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
+from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.settings import describe_fields, read_field_documents
 from studies.tuning import load_tuning
@@ -63,6 +64,13 @@ def run_command(*arguments: str) -> str:
         if main(arguments):
             raise ExtensionError(f"hrl-escape {' '.join(arguments)} failed")
     return printed.getvalue()
+
+
+@cache
+def list_hierarchical() -> dict[str, str]:
+    """Agents with a task hierarchy, and the line of `hrl-escape list` about each."""
+    (entries,) = json.loads(run_command("list", "hierarchical", "--json")).values()
+    return entries
 
 
 class Table(SphinxDirective):
@@ -139,7 +147,7 @@ class TunedSettings(Table):
                            for name, value in entry.settings.items()),
                  ", ".join(f"`{place}`" + (" (reported)" if place in entry.reported_in else "")
                            for place in entry.tried_in),
-                 str(entry.trials or "not written down"), entry.seeds or "not written down",
+                 str(entry.trials or "not recorded"), entry.seeds or "not recorded",
                  " ".join(filter(None, (entry.note, f"({entry.source})"))))
                 for entry in record]
         tuned = {agent for entry in record for agent in entry.agents}
@@ -167,16 +175,6 @@ class Recommended(Table):
         rows = ((choice.use, f"{choice.title}, `{choice.label}`",
                  re.sub(r"(?<!`)smdp-[\w+-]+", r"`\g<0>`", choice.reason)) for choice in RECOMMENDED)
         return f"{format_answer()}\n\n{make_table(('for', 'agent', 'why'), rows)}"
-
-
-class Ladder(Table):
-    """`{ladder}`: every preset and its environment."""
-
-    def write(self) -> str:
-        """One row a preset."""
-        about = json.loads(run_command("list", "presets", "--json"))["presets"]
-        return make_table(("preset", "what it is", "id"), (
-            (f"`{name}`", about[name], f"`hrl_escape/{make_env_name(name)}-v1`") for name in PRESETS))
 
 
 class Rungs(Table):
@@ -213,7 +211,7 @@ class Layouts(Table):
 
 
 class Prices(Table):
-    """`{prices}`: the price of textbook hierarchies, computed anew."""
+    """`{prices}`: costs of textbook hierarchies, computed during the build."""
 
     def write(self) -> str:
         """One row a hierarchy."""
@@ -241,7 +239,7 @@ class PublishedRecordings(Table):
 
 
 class Usage(Table):
-    """`{usage} room`: what a command says with `--help`."""
+    """`{usage} room`: the help of a command."""
 
     def write(self) -> str:
         """The help as it is printed."""
@@ -252,7 +250,7 @@ class Usage(Table):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
-                            "recommended": Recommended, "tuning": TunedSettings, "ladder": Ladder, "rungs": Rungs,
+                            "recommended": Recommended, "tuning": TunedSettings, "rungs": Rungs,
                             "layouts": Layouts, "prices": Prices, "recordings": PublishedRecordings,
                             "usage": Usage}.items():
         app.add_directive(name, directive)

@@ -1,8 +1,8 @@
-"""Tutorials: a script becomes a notebook that is run while the site is built, shown as a page and offered to download.
+"""Tutorials: scripts that are run as notebooks during the build, shown as pages and offered as downloads.
 
-The module's docstring, its title left out, opens the page; comments that stand alone at the left margin are prose
-(Markdown); the rest is code. Below each piece of code stands what it prints, and the picture of its last expression;
-the last picture opens the page too. A script that fails fails the build.
+The module's docstring opens the page, without its title. Comments on lines of their own at the left margin are prose
+(Markdown), and the rest is code. Below each piece of code are its printed text and the picture of its last expression.
+The last picture also opens the page. A script that fails fails the build.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from .escape_room import EscapeRoomEnv
 from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
 from .observations.base import Observer, make_observer
-from .presets import PRESETS, get_preset
+from .presets import PRESETS, get_preset, list_presets
 from .primitives import Primitive
 from .puzzles.base import (
     Contacts,
@@ -84,6 +84,7 @@ __all__ = [
     "Wall",
     "generate",
     "get_preset",
+    "list_presets",
     "list_puzzles",
     "make_observer",
     "register_puzzle",

@@ -424,6 +424,57 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
 }
 
 
+TAGS: dict[str, tuple[str, ...]] = {
+    "paper-one-button": ("paper", "buttons"),
+    "paper-two-button": ("paper", "buttons"),
+    "paper-random": ("paper", "buttons", "varied"),
+    "larg-2019": ("paper", "buttons", "arm", "reset"),
+    "four-button-chain": ("buttons",),
+    "arm-two-button": ("buttons", "arm"),
+    "clutter": ("buttons", "obstacles", "doors"),
+    "ten-button": ("buttons", "many buttons"),
+    "twenty-button": ("buttons", "many buttons"),
+    "dead-ends": ("buttons", "irreversible"),
+    "inner-doors": ("buttons", "doors"),
+    "bit-flip": ("classic puzzle", "reset"),
+    "lights-out": ("classic puzzle",),
+    "hanoi": ("classic puzzle",),
+    "code-lock": ("classic puzzle", "reset"),
+    "light-box": ("classic puzzle", "many buttons", "stochastic", "reset"),
+    "random-lights": ("random domain", "stochastic", "reset"),
+    "factored": ("random domain", "stochastic"),
+    "potions": ("random domain", "memory"),
+    "recipes": ("classic puzzle",),
+    "deep-sea": ("classic puzzle", "irreversible"),
+    "four-rooms": ("grid world", "stochastic"),
+    "taxi": ("grid world", "gripper"),
+    "puddle-world": ("grid world",),
+    "foraging": ("grid world", "gripper", "stochastic"),
+    "door-key": ("grid world", "gripper", "doors"),
+    "key-corridor": ("grid world", "gripper", "doors"),
+    "multi-room": ("grid world", "gripper", "doors"),
+    "blocks-world": ("classic puzzle", "gripper"),
+    "key-chest": ("grid world", "stochastic"),
+    "sokoban": ("grid world", "irreversible"),
+    "pin-pad": ("classic puzzle",),
+    "push-block": ("physics",),
+}
+"""Words to search presets by: properties of their rooms that matter to an agent."""
+
+
+def list_presets(*tags: str) -> list[str]:
+    """Return the names of the presets that have all the given tags, all presets without a tag.
+
+    Raises:
+        UnknownNameError: no preset has such a tag.
+    """
+    known = sorted({tag for found in TAGS.values() for tag in found})
+    for tag in tags:
+        if tag not in known:
+            raise UnknownNameError("tag of presets", tag, known)
+    return [name for name in PRESETS if set(tags) <= set(TAGS[name])]
+
+
 def get_preset(name: str, **arguments: Any) -> RoomConfig:
     """Return a named room configuration.
 

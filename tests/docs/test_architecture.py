@@ -39,7 +39,7 @@ def test_every_path_on_the_page_is_a_file_or_a_folder():
     assert [fault for fault in faults if fault.endswith("no file")] == []
 
 
-def test_the_ten_questions_are_ten_and_a_wrong_answer_is_found():
+def test_the_questions_are_ten_and_a_wrong_answer_is_found():
     assert len(list_questions()) == 10
     assert find_faults("`benchmark/nowhere.py`") == ["benchmark/nowhere.py is no file"]
     assert find_faults("`benchmark/statistics.py`, `compute_interval`") == [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import re
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,14 @@ def read_environment() -> str:
 def test_every_block_is_of_a_kind_that_is_tested_or_only_shown():
     unknown = {block.language for blocks in BLOCKS.values() for block in blocks} - KNOWN
     assert not unknown
+
+
+def test_commands_in_the_table_of_the_command_line_parse():
+    table = (ROOT / "docs/cli.md").read_text(encoding="utf-8").partition("\n\n[")[0]
+    commands = re.findall(r"`hrl-escape ([^`]+)`", table)
+    assert len(commands) > 10
+    for command in commands:
+        parse(shlex.split(command))
 
 
 def test_a_wrong_argument_is_found():

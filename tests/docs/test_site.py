@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 import hrl_escape
-from hrl_escape.agents.registry import join_name, list_agents
+from hrl_escape.agents.registry import join_name, list_agents, list_hierarchy_agents, list_offline_agents
 from hrl_escape.agents.training.results import METRICS
 from hrl_escape.cli import find_commands
-from hrl_escape.env.presets import PRESETS
+from hrl_escape.env.presets import PRESETS, TAGS, make_env_name
 from tests.forks import run_module
 
 ROOT = Path(__file__).parents[2]
@@ -71,7 +71,7 @@ def test_every_public_name_is_in_the_reference(site: Path):
 
 def test_public_names_are_few_and_the_package_offers_only_them():
     names = list_public_names()
-    assert len(names) < 200
+    assert len(names) <= 200
     assert set(hrl_escape.__all__) <= {name.rpartition(".")[2] for name in names}
 
 
@@ -90,9 +90,19 @@ def test_every_agent_has_a_page_with_equation_settings_and_curve(site: Path):
 
 
 def test_every_metric_and_preset_is_explained(site: Path):
-    metrics, ladder = read(site / "metrics.html"), read(site / "ladder.html")
+    metrics = read(site / "metrics.html")
     assert all(name in metrics for name in METRICS)
-    assert all(name in ladder for name in PRESETS)
+    index = (site / "environments" / "index.html").read_text(encoding="utf-8")
+    for name in PRESETS:
+        card = read(site / "environments" / f"{name}.html")
+        assert f"hrl_escape/{make_env_name(name)}-v1" in card and all(tag in card for tag in TAGS[name])
+        assert f'href="{name}.html"' in index
+
+
+def test_every_agent_is_a_row_of_the_table(site: Path):
+    page = read(site / "agents" / "index.html").partition("All agents")[2]
+    agents = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
+    assert [name for name in agents if name not in page] == []
 
 
 def test_every_command_is_on_the_page_of_the_command_line(site: Path):
@@ -152,7 +162,7 @@ def count_words_before_a_picture(page: str) -> int:
 def test_no_tutorial_and_no_guide_keeps_its_first_screen_without_a_picture(site: Path):
     """Some 110 words fill half of a laptop's screen."""
     guides = ("index", "quickstart", "options", "hierarchies", "planners", "ladder", "room-configuration", "puzzles",
-              "viewer")
+              "viewer", "environments/index")
     pages = [f"tutorials/{name}" for name in TUTORIALS] + list(guides) + ["results/index"]
     words = {page: count_words_before_a_picture((site / f"{page}.html").read_text("utf-8")) for page in pages}
     assert {page: count for page, count in words.items() if count > 110} == {}
