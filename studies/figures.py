@@ -1,17 +1,77 @@
-"""The look of the studies' figures."""
+"""The look of the studies' figures, for light and dark pages."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeAlias
 
+import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from hrl_escape.env.pictures import palette
 
-__all__ = ["FIGURE_STYLE", "finish_axes"]
+__all__ = ["FIGURE_STYLE", "THEMES", "Drawing", "Theme", "finish_axes", "make_figure", "write_label"]
 
 FIGURE_STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
+WIDTH = 5.6
+"""Inches of a figure: at 390 px, text of 10 points is 9 px high."""
+
+
+class Theme(NamedTuple):
+    """Colours of figures on a page.
+
+    Attributes:
+        suffix: of the name of the file.
+        ink: text and axes.
+        muted: text and lines that stand back.
+        grid: of axes.
+        lines: five colours of lines that differ for any colour vision.
+    """
+
+    suffix: str
+    ink: str
+    muted: str
+    grid: str
+    lines: tuple[str, ...]
+
+
+LIGHT = Theme("", "#22262e", "#5b616b", "#d8d3c8", ("#00795a", "#0072b2", "#b86f00", "#a8497f", "#5b616b"))
+DARK = Theme("-dark", "#e6edf3", "#9aa4b0", "#3a424d", ("#2fbf8f", "#56b4e9", "#e69f00", "#dd8fbe", "#9aa4b0"))
+THEMES = (LIGHT, DARK)
+
+Drawing: TypeAlias = Callable[[Theme], Figure]
+"""Draws a figure for a theme."""
+
+
+def make_figure(theme: Theme, draw: Callable[[Any], None], height: float = 3.7, grid: str = "y", **how: Any) -> Figure:
+    """Draw a transparent figure of the common width.
+
+    Args:
+        theme: colours.
+        draw: draws into the axes: one, or an array of them, as `Figure.subplots` returns them.
+        height: inches.
+        grid: axis that has grid lines.
+        how: for `Figure.subplots`.
+    """
+    style: Any = FIGURE_STYLE | {
+        "font.size": 10, "text.color": theme.ink, "axes.labelcolor": theme.ink, "axes.titlecolor": theme.ink,
+        "axes.edgecolor": theme.ink, "axes.facecolor": "none", "axes.axisbelow": True, "axes.spines.top": False,
+        "axes.spines.right": False}
+    with matplotlib.rc_context(style):
+        figure = Figure(figsize=(WIDTH, height), facecolor="none", layout="constrained")
+        axes = figure.subplots(**how)
+        for each in figure.axes:  # ticks are made when they are drawn, outside this context
+            each.tick_params(which="both", colors=theme.ink, grid_color=theme.grid, grid_linewidth=0.8)
+            each.grid(axis=grid)  # pyright: ignore[reportArgumentType]
+        draw(axes)
+    return figure
+
+
+def write_label(axes: Axes, x: float, y: float, text: str, colour: str, **how: Any) -> None:
+    """Write the label of a line beside it, in its colour."""
+    axes.text(x, y, text, color=colour, fontweight="bold", va="center", **how)
 
 
 def finish_axes(axes: Axes) -> None:

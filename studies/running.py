@@ -15,7 +15,7 @@ from hrl_escape.processes import taking_turns
 from studies.baseline import BaselineRun, collect_baselines
 from studies.page import write_page
 from studies.store import Line, Store
-from studies.study import Page, Study
+from studies.study import Findings, Page, Study
 
 __all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "open_store",
            "refuse_failures", "run_study"]
@@ -66,7 +66,7 @@ def open_store(study: Study, docs: Path | None) -> Store:
     return Store(path, getattr(study.analysis, "LINES", (BaselineRun,)))
 
 
-def run_study(study: Study, args: Any) -> Page:
+def run_study(study: Study, args: Any) -> Page | Findings:
     """Make what is missing, unless only the page is asked for, and write the page.
 
     Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
@@ -90,10 +90,11 @@ def run_study(study: Study, args: Any) -> Page:
         lines = store.load()
         if not lines:
             raise ComparisonError(f"{store.path} holds no run" + (": leave out --from-raw" if args.from_raw else ""))
-        return write_page(study, analyse(study, lines), docs)
+        found = analyse(study, lines)
+        return write_page(study, found, docs) if isinstance(found, Page) else found
 
 
-def analyse(study: Study, lines: list[Any]) -> Page:
+def analyse(study: Study, lines: list[Any]) -> Page | Findings:
     """Findings of a study in these lines.
 
     Raises:

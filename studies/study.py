@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
@@ -26,12 +26,27 @@ from hrl_escape.comparison.grid import Grid
 from hrl_escape.comparison.presets import get_grid
 from hrl_escape.errors import FileReadError, UnknownNameError
 from hrl_escape.files import read_toml
+from studies.figures import Drawing
 
-__all__ = ["ROOT", "Page", "Study", "find_study", "list_studies"]
+__all__ = ["ROOT", "Findings", "Page", "Study", "find_study", "list_studies"]
 
 ROOT = Path(__file__).parent
 """Folder of all studies."""
 DEFINITION = "study.toml"
+
+
+class Findings(NamedTuple):
+    """Result of an analysis, for pages, tests and the command.
+
+    Attributes:
+        numbers: fields of pages, which their rules read too.
+        tables: name -> Markdown; the names differ from those of other studies of a page.
+        figures: name -> function that draws it for a theme.
+    """
+
+    numbers: SimpleNamespace
+    tables: Mapping[str, str]
+    figures: Mapping[str, Drawing] = {}
 
 
 class Page(NamedTuple):

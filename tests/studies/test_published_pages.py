@@ -12,6 +12,7 @@ import pytest
 
 from studies.page import render
 from studies.parts.reach import BASELINE, FULL, HEADLINE, LIMIT, RULE, count_escapes, supports_headline
+from studies.publishing import list_pages
 from studies.running import analyse, open_store
 from studies.study import find_study, list_studies
 
@@ -21,7 +22,8 @@ RESULTS = Path(__file__).parents[2] / "docs" / "results"
 @pytest.mark.nightly_for(
     "parts", "ladder", "canon", "scaling", "paper", "learned", "hierarchies", "buttons", "intra-option", "profiles",
     "price", "budgets", "factorial")
-@pytest.mark.parametrize("name", list_studies())
+@pytest.mark.parametrize("name", [name for name, study in list_studies().items()
+                                  if (study.folder / "page.md.j2").is_file()])
 def test_a_published_page_is_what_its_results_give(name: str):
     study = find_study(name)
     lines = open_store(study, None).load()
@@ -30,7 +32,8 @@ def test_a_published_page_is_what_its_results_give(name: str):
 
 def test_every_page_of_results_but_the_index_and_the_quickstart_is_a_study_s():
     pages = {path.stem for path in RESULTS.glob("*.md")} - {"index", "quickstart"}
-    assert pages == {study.page for study in list_studies().values()}
+    assert pages == {*list_pages(), *(study.page for study in list_studies().values()
+                                      if (study.folder / "page.md.j2").is_file())}
 
 
 def test_numbers_to_quote_stand_on_their_pages():

@@ -109,9 +109,9 @@ def test_studies_are_listed_and_a_wrong_name_is_answered_with_the_right_ones(cap
 
 
 @pytest.mark.parametrize("name", list_studies())
-def test_a_study_is_data_words_results_and_an_analysis(name: str):
+def test_a_study_is_data_results_and_an_analysis(name: str):
     study = find_study(name)
-    assert {"study.toml", "page.md.j2", "raw.jsonl"} <= {path.name for path in study.folder.iterdir()}
+    assert {"study.toml", "raw.jsonl"} <= {path.name for path in study.folder.iterdir()}
     assert callable(study.analysis.analyse)
     assert study.data["about"].startswith(("Measure ", "Run ", "Find "))
     assert f"python -m studies {name}" in read_toml(study.folder / "study.toml")["about"]
