@@ -18,7 +18,7 @@ from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.study import ROOT, Page, Study
 
-__all__ = ["make_table", "render", "write_page"]
+__all__ = ["format_interval", "make_table", "render", "write_page"]
 
 
 def write_page(study: Study, page: Page, docs: Path) -> Page:
@@ -50,6 +50,16 @@ def make_table(header: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
     head = "".join(f" {cell} |" if cell else " |" for cell in map(str, header))
     return "\n".join([f"|{head}", f"|{'---|' * len(header)}",
                       *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+
+
+def format_interval(found: Any, form: str) -> str:
+    """Mean with its interval: `+0.12 (+0.02 to +0.21)`.
+
+    Args:
+        found: has `mean`, `low` and `high`.
+        form: of each number, as for `format`.
+    """
+    return f"{found.mean:{form}} ({found.low:{form}} to {found.high:{form}})"
 
 
 def _set_in_code(names: Iterable[str]) -> list[str]:

@@ -26,6 +26,7 @@ from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import THEMES
+from studies.page import format_interval
 from studies.running import open_store
 from studies.study import ROOT, Findings, find_study
 
@@ -198,13 +199,3 @@ def publish(page: ResultPage, docs: Path) -> None:
         for theme in THEMES:
             save_figure(docs / "figures" / f"{name}{theme.suffix}.svg", drawings[name](theme))
     write_text(docs / f"{page.name}.md", text)
-
-
-def format_interval(found: Any, form: str) -> str:
-    """Mean with its interval: `+0.12 (+0.02 to +0.21)`.
-
-    Args:
-        found: has `mean`, `low` and `high`.
-        form: of each number, as for `format`.
-    """
-    return f"{found.mean:{form}} ({found.low:{form}} to {found.high:{form}})"
