@@ -85,7 +85,7 @@ def draw_reach(runs: Sequence[PartsRun], theme: Theme) -> Figure:
 
 
 def draw_medians(medians: Mapping[tuple[str, str], Mapping[int, float]], theme: Theme) -> Figure:
-    """Draw the median primitives to the first escape; a line ends where most runs do not escape."""
+    """Draw the median primitives to the first escape; a line ends where half of the runs or more do not."""
 
     def draw(axes: Axes) -> None:
         sizes = sorted(medians[FULL, RULE])
