@@ -235,7 +235,8 @@ def draw(sizes: Mapping[str, Mapping[int, Size]], titles: Mapping[str, str], bud
             known = {size: found.median for size, found in own.items() if math.isfinite(found.median)}
             axes.plot(list(known), list(known.values()), "--" if number == 4 else "-", marker="o", markersize=4,
                       color=theme.lines[number], linewidth=2.2)
-            write_label(axes, *place, titles[agent].replace(" with ", "\nwith ").replace("factored ", "factored\n"), theme.lines[number])
+            label = titles[agent].replace(" with ", "\nwith ").replace("factored ", "factored\n")
+            write_label(axes, *place, label, theme.lines[number])
         axes.set(xscale="log", yscale="log", xlabel="buttons in the room", ylabel="primitives to the first escape",
                  ylim=(20, 1.4 * budget))
         axes.set_xticks(ticks := sorted({size for own in sizes.values() for size in own}), list(map(str, ticks)))
