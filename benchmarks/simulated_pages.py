@@ -31,10 +31,10 @@ from studies.ladder.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
 from studies.learned.dial import PLANNED, DialLine, conclude_dial
 from studies.paper.analysis import list_claims
 from studies.paper.claims import judge_claims
+from studies.price.analysis import compare_pair
 from studies.price.contestants import BUTTON_COUNTS
 from studies.price.ratios import COSTS
 from studies.price.runs import PriceRun
-from studies.price.words import compare_with_chance, conclude_prices
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
 from studies.scaling.difficulty import tell_difficulty
 from studies.scaling.findings import tell_replication
@@ -201,18 +201,11 @@ def make_price_runs(agent: str, scores: Sequence[float], buttons: int) -> list[P
 
 
 def is_wrong_of_price(draw: Draw, rng: np.random.Generator) -> bool:
-    """The price of flatness is not 1, or grows with a button, where flat learners are as quick; 10 replicates."""
+    """A factor between flat learners and options is not 1, where flat learners are as quick; 10 replicates."""
     runs = [run for buttons in BUTTON_COUNTS for agent in ("flat", "options")
             for run in make_price_runs(agent, draw(rng, RUNS).tolist(), buttons)]
-    told = " ".join(conclude_prices(runs, [("flat", "options", cost) for cost in COSTS[:2]]))
-    return " times the " in told or "multiplies the factor" in told
-
-
-def is_wrong_of_chance(draw: Draw, rng: np.random.Generator) -> bool:
-    """The same page tells two learners that are chance from chance; 10 runs each."""
-    own, other, chance = (make_price_runs(agent, draw(rng, RUNS).tolist(), 1) for agent in ("one", "other", "random"))
-    told = [compare_with_chance(learner, chance, "one", BUDGET // 2) for learner in (own, other)]
-    return any("not told apart" not in words for words in told)
+    ratios = compare_pair(runs, "flat", "options", COSTS[:2])
+    return any(ratio.middle.low > 1 or ratio.middle.high < 1 for own in ratios.values() for ratio in own)
 
 
 # --- from 2 to 20 buttons ----------------------------------------------------------------------
@@ -265,8 +258,7 @@ PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "why it worsens: fresh runs": is_wrong_of_fresh_effects,
     "order of the ladder's rungs": is_wrong_of_rungs,
     "learned options on the dial": is_wrong_of_dial,
-    "price of flatness": is_wrong_of_price,
-    "price: escapes beside chance": is_wrong_of_chance,
+    "do options help": is_wrong_of_price,
     "what structure learners are told": is_wrong_of_told,
     "what makes rooms difficult": is_wrong_of_difficulty,
     "the bar with fresh runs": is_wrong_of_fresh_bar,

@@ -6,6 +6,7 @@ joins a list as a sentence does, `code` sets each in code, `count` puts a noun b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.study import ROOT, Page, Study
 
-__all__ = ["make_table", "render", "write_page"]
+__all__ = ["format_short", "make_table", "render", "write_page"]
 
 
 def write_page(study: Study, page: Page, docs: Path) -> Page:
@@ -50,6 +51,14 @@ def make_table(header: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
     head = "".join(f" {cell} |" if cell else " |" for cell in map(str, header))
     return "\n".join([f"|{head}", f"|{'---|' * len(header)}",
                       *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+
+
+def format_short(value: float) -> str:
+    """Two significant digits, and all digits before the decimal point: 0.52, 3.4, 26, 1,340."""
+    if not math.isfinite(value):
+        return "-"
+    rounded = float(f"{value:.2g}") if value < 1_000 else float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if rounded >= 10 else f"{rounded:.2g}"
 
 
 def _set_in_code(names: Iterable[str]) -> list[str]:

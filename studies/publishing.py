@@ -20,14 +20,15 @@ from jinja2 import nodes
 from jinja2.ext import Extension
 from jinja2.parser import Parser
 
-from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.errors import EscapeError, UnknownNameError
 from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import THEMES
+from studies.page import format_short
 from studies.running import open_store
 from studies.study import ROOT, Findings, find_study
+from studies.titles import find_title
 
 __all__ = ["ResultPage", "Rules", "UnsupportedClaimError", "check_form", "list_pages", "load_findings", "load_page",
            "publish", "render_page"]
@@ -146,9 +147,9 @@ def render_page(page: ResultPage, findings: Mapping[str, Findings]) -> tuple[str
     rendering = _Rendering(page, numbers)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(page.template.parent), undefined=jinja2.StrictUndefined, autoescape=False,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, extensions=[_Claims])
-    environment.filters |= {"num": format, "count": count_nouns, "words": join_words, "interval": format_interval,
-                            "title": lambda label: AgentSpec.parse(label).title}
+        keep_trailing_newline=True, extensions=[_Claims])
+    environment.filters |= {"num": format, "short": format_short, "interval": format_interval, "span": format_span,
+                            "count": count_nouns, "words": join_words, "title": find_title}
     environment.globals |= vars(numbers) | {
         "rendering": rendering, "figure": rendering.show,
         "tables": {name: text for found in findings.values() for name, text in found.tables.items()}}
@@ -200,11 +201,20 @@ def publish(page: ResultPage, docs: Path) -> None:
     write_text(docs / f"{page.name}.md", text)
 
 
-def format_interval(found: Any, form: str) -> str:
+def format_interval(found: Any, form: str = "") -> str:
     """Mean with its interval: `+0.12 (+0.02 to +0.21)`.
 
     Args:
         found: has `mean`, `low` and `high`.
-        form: of each number, as for `format`.
+        form: of each number, as for `format`; by default two significant digits.
     """
-    return f"{found.mean:{form}} ({found.low:{form}} to {found.high:{form}})"
+    return f"{_format(found.mean, form)} ({format_span(found, form)})"
+
+
+def format_span(found: Any, form: str = "") -> str:
+    """Interval alone: `+0.02 to +0.21`; see `format_interval`."""
+    return f"{_format(found.low, form)} to {_format(found.high, form)}"
+
+
+def _format(value: float, form: str) -> str:
+    return format(value, form) if form else format_short(value)
