@@ -6,6 +6,7 @@ joins a list as a sentence does, `code` sets each in code, `count` puts a noun b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.study import ROOT, Page, Study
 
-__all__ = ["format_interval", "make_table", "render", "write_page"]
+__all__ = ["format_interval", "format_short", "format_span", "make_table", "render", "write_page"]
 
 
 def write_page(study: Study, page: Page, docs: Path) -> Page:
@@ -52,14 +53,31 @@ def make_table(header: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
                       *(f"| {' | '.join(map(str, row))} |" for row in rows)])
 
 
-def format_interval(found: Any, form: str) -> str:
+def format_interval(found: Any, form: str = "") -> str:
     """Mean with its interval: `+0.12 (+0.02 to +0.21)`.
 
     Args:
         found: has `mean`, `low` and `high`.
-        form: of each number, as for `format`.
+        form: of each number, as for `format`; by default two significant digits.
     """
-    return f"{found.mean:{form}} ({found.low:{form}} to {found.high:{form}})"
+    return f"{_format(found.mean, form)} ({format_span(found, form)})"
+
+
+def format_span(found: Any, form: str = "") -> str:
+    """Interval alone: `+0.02 to +0.21`; see `format_interval`."""
+    return f"{_format(found.low, form)} to {_format(found.high, form)}"
+
+
+def _format(value: float, form: str) -> str:
+    return format(value, form) if form else format_short(value)
+
+
+def format_short(value: float) -> str:
+    """Two significant digits, and all digits before the decimal point: 0.52, 3.4, 26, 1,340."""
+    if not math.isfinite(value):
+        return "-"
+    rounded = float(f"{value:.2g}") if value < 1_000 else float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if rounded >= 10 else f"{rounded:.2g}"
 
 
 def _set_in_code(names: Iterable[str]) -> list[str]:

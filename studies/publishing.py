@@ -20,15 +20,15 @@ from jinja2 import nodes
 from jinja2.ext import Extension
 from jinja2.parser import Parser
 
-from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.errors import EscapeError, UnknownNameError
 from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import THEMES
-from studies.page import format_interval
+from studies.page import format_interval, format_short, format_span
 from studies.running import open_store
 from studies.study import ROOT, Findings, find_study
+from studies.titles import find_title
 
 __all__ = ["ResultPage", "Rules", "UnsupportedClaimError", "check_form", "list_pages", "load_findings", "load_page",
            "publish", "render_page"]
@@ -147,9 +147,9 @@ def render_page(page: ResultPage, findings: Mapping[str, Findings]) -> tuple[str
     rendering = _Rendering(page, numbers)
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(page.template.parent), undefined=jinja2.StrictUndefined, autoescape=False,
-        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, extensions=[_Claims])
-    environment.filters |= {"num": format, "count": count_nouns, "words": join_words, "interval": format_interval,
-                            "title": lambda label: AgentSpec.parse(label).title}
+        keep_trailing_newline=True, extensions=[_Claims])
+    environment.filters |= {"num": format, "short": format_short, "interval": format_interval, "span": format_span,
+                            "count": count_nouns, "words": join_words, "title": find_title}
     environment.globals |= vars(numbers) | {
         "rendering": rendering, "figure": rendering.show,
         "tables": {name: text for found in findings.values() for name, text in found.tables.items()}}

@@ -7,7 +7,11 @@ from pathlib import Path
 
 from sphinx.application import Sphinx
 
-MOVED = {"schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets"}
+MOVED = {
+    "schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
+    **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
+                    "results/do-options-help"),
+}
 """Former name of each page that has another name now."""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from hrl_escape.comparison.inference import LEVEL, correct_by_holm
 from hrl_escape.comparison.statistics import LEAST_RUNS
+from studies.page import format_short
 from studies.price.runs import PriceRun
 from studies.statistics import choose_holm_levels, find_lasting, list_subset_means
 
@@ -30,17 +31,15 @@ class RunCost(NamedTuple):
     """A cost of a run.
 
     Attributes:
+        key: in numbers of the analysis.
         name: in tables.
-        event: that ends it, as the end of "until ...".
-        unit: in sentences.
         read: of a run, the cost, and True if it got there; False if it had only spent this much. None where the run's
             line does not hold it.
         is_of_learning: an untrained policy that is efficient already spoils it.
     """
 
+    key: str
     name: str
-    event: str
-    unit: str
     read: Callable[[PriceRun], tuple[float, bool] | None]
     is_of_learning: bool = True
 
@@ -69,11 +68,11 @@ def _spend_seconds(run: PriceRun) -> tuple[float, bool]:
 
 
 COSTS = (
-    RunCost("primitives to efficiency", "it is efficient", "primitives", _wait_for_efficiency),
-    RunCost("primitives to the first escape", "its first escape", "primitives", _wait_for_escape, False),
-    *(RunCost(f"primitives to an efficiency of {least:g}", f"an efficiency of {least:g}", "primitives",
-              _wait_for(least)) for least in (0.7, 0.5)),
-    RunCost("processor seconds to efficiency", "it is efficient", "processor seconds", _spend_seconds),
+    RunCost("efficient", "primitives to an efficiency of 0.9", _wait_for_efficiency),
+    RunCost("escape", "primitives to the first escape", _wait_for_escape, False),
+    RunCost("most", "primitives to an efficiency of 0.7", _wait_for(0.7)),
+    RunCost("half", "primitives to an efficiency of 0.5", _wait_for(0.5)),
+    RunCost("seconds", "processor seconds to an efficiency of 0.9", _spend_seconds),
 )
 
 
@@ -94,6 +93,19 @@ class Middle(NamedTuple):
     low: float = 0.0
     high: float = np.inf
     p: float = 1.0
+
+    @property
+    def mean(self) -> float:
+        """The factor, as other estimates with an interval name theirs."""
+        return self.factor
+
+    def __str__(self) -> str:
+        """Text of a table: `26 (19 to 36)`, `> 19 (mean at least 26)` of a bound, or `-`."""
+        if self.knowledge == "unknown":
+            return "-"
+        if self.knowledge == "bound":
+            return f"> {format_short(self.low)} (mean at least {format_short(self.factor)})"
+        return f"{format_short(self.factor)} ({format_short(self.low)} to {format_short(self.high)})"
 
 
 class CostRatio(NamedTuple):

@@ -35,7 +35,6 @@ Lines are medians over rooms.
 
 **Takeaway.** {% claim "take-keys" %}Give an agent its keys, {{ doors.gain | interval("+.2f") }}.{% endclaim %}
 
-
 ## Setup
 
 - Rooms with a door.
