@@ -11,6 +11,7 @@ MOVED = {
     "schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
     **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
                     "results/do-options-help"),
+    "results/why-it-worsens": "results/paper",
 }
 """Former name of each page that has another name now."""
 
