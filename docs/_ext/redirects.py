@@ -11,6 +11,8 @@ MOVED = {
     "schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
     **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
                     "results/do-options-help"),
+    **dict.fromkeys(("results/canon", "results/hierarchies", "results/learned", "results/intra-option"),
+                    "results/all-algorithms"),
 }
 """Former name of each page that has another name now."""
 
