@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.inference import ALPHA, compute_interval
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES
-from hrl_escape.comparison.statistics import LEAST_RUNS, compute_iqm
+from hrl_escape.benchmark.inference import ALPHA, compute_interval
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
+from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
 from studies.page import make_table

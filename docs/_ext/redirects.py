@@ -9,6 +9,7 @@ from sphinx.application import Sphinx
 
 MOVED = {
     "schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
+    "api/comparison": "api/benchmark",
     **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
                     "results/do-options-help"),
     **dict.fromkeys(("results/canon", "results/hierarchies", "results/learned", "results/intra-option"),

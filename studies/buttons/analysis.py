@@ -15,16 +15,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 from numpy.typing import NDArray
 from rich.console import Console
+from studies.price.words import tell_factor
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.inference import ALPHA
-from hrl_escape.comparison.launching.local import get_fork_server
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
+from hrl_escape.benchmark.inference import ALPHA
+from hrl_escape.benchmark.launching.local import get_fork_server
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.pictures import palette
@@ -34,7 +35,6 @@ from hrl_escape.names import join_words
 from studies.figures import FIGURE_STYLE, finish_axes
 from studies.page import make_table
 from studies.price.ratios import CostRatio, LogRange, Middle, correct_prices, find_middle
-from studies.price.words import tell_factor
 from studies.running import StudyArgs
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room

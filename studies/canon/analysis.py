@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.grid import Grid, GridRun
-from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.runs import RunResult
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.comparison import Comparison, run_grid
+from hrl_escape.benchmark.grid import Grid, GridRun
+from hrl_escape.benchmark.launching.local import LocalLauncher
+from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.names import count_nouns
 from hrl_escape.sets.room_spec import RoomSpec

@@ -10,8 +10,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ConfigError, UnknownNameError
 from studies.factorial.design import ALGORITHMS, FACTORS, make_factorial_grid, name_factorial

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hrl_escape.comparison.inference import LEVEL
-from hrl_escape.comparison.statistics import Floats
+from hrl_escape.benchmark.inference import LEVEL
+from hrl_escape.benchmark.statistics import Floats
 from studies.factorial.effects import Screening, compute_contrasts, mark_gaps
 from studies.raw import RawRun
 

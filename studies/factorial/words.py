@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
+from hrl_escape.benchmark.inference import compare_pairs, correct_by_holm
 from hrl_escape.names import count_nouns, join_words
 from studies.factorial.design import Factor
 from studies.factorial.effects import (

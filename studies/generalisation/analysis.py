@@ -14,9 +14,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from studies.baseline import BaselineRun, collect_baselines

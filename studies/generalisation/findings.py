@@ -12,8 +12,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
 from studies.generalisation.grids import CEILING, DEPTHS, FLAT, FLAT_CHANCE, SEARCH_BASELINES

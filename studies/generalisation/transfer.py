@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun

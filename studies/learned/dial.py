@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.inference import LEVEL
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.inference import LEVEL
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.observations.base import make_observer

@@ -14,8 +14,8 @@ from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.launching.local import get_fork_server
-from hrl_escape.comparison.protocols import compute_learned_share
+from hrl_escape.benchmark.launching.local import get_fork_server
+from hrl_escape.benchmark.protocols import compute_learned_share
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import join_words

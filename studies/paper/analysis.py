@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.inference import Estimate, compute_interval
-from hrl_escape.comparison.reporting.figures import GREYS
-from hrl_escape.comparison.statistics import Floats, compute_iqm
+from hrl_escape.benchmark.inference import Estimate, compute_interval
+from hrl_escape.benchmark.reporting.figures import GREYS
+from hrl_escape.benchmark.statistics import Floats, compute_iqm
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import join_words

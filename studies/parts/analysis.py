@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
+from studies.price.words import tell_number
 
 from hrl_escape.agents.old_specs import convert_label
 from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -44,7 +45,6 @@ from studies.parts.answers import (
 from studies.parts.figure import draw
 from studies.parts.reach import draw_reach
 from studies.parts.runs import Cell, LearnerSettings, play_cell
-from studies.price.words import tell_number
 from studies.running import StudyArgs
 from studies.statistics import compute_restricted_mean
 from studies.store import Store

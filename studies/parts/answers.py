@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
+from studies.price.words import tell_number
 
-from hrl_escape.comparison.inference import ALPHA, LEVEL, correct_by_holm
+from hrl_escape.benchmark.inference import ALPHA, LEVEL, correct_by_holm
 from hrl_escape.names import count_nouns, join_words
 from studies.price.ratios import Middle, find_middle
-from studies.price.words import tell_number
 from studies.statistics import choose_holm_levels, find_visible_difference, find_visible_shift
 
 __all__ = ["Answer", "Exchange", "Law", "PartsRun", "answer", "choose_slope", "compute_power", "find_exchange",

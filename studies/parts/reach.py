@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from hrl_escape.comparison.inference import compute_wilson_interval
+from hrl_escape.benchmark.inference import compute_wilson_interval
 from studies.figures import FIGURE_STYLE
 from studies.parts.answers import PartsRun
 

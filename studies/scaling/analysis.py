@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.reporting.figures import choose_styles
+from hrl_escape.benchmark.reporting.figures import choose_styles
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.figures import FIGURE_STYLE, finish_axes

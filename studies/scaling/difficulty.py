@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, correct_by_holm
-from hrl_escape.comparison.statistics import Floats
+from hrl_escape.benchmark.inference import ALPHA, correct_by_holm
+from hrl_escape.benchmark.statistics import Floats
 from hrl_escape.names import join_words
 from studies.scaling.results import ScalingRun
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.followed_runs import count_spared
 from studies.scaling.results import ScalingRun

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.comparison.inference import ALPHA, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import BAR_AGENT, MAX_PARENTS, TOLD, TOLD_TASKS

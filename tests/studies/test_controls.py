@@ -10,7 +10,7 @@ import pytest
 
 from hrl_escape.agents.hierarchy_kinds import KINDS, WITHOUT_PLANS
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.references.bayes import find_own_config
+from hrl_escape.benchmark.references.bayes import find_own_config
 from hrl_escape.errors import UnsupportedError
 from studies.__main__ import main
 from studies.baseline import BaselineRun

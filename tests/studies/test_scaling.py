@@ -14,8 +14,8 @@ import pytest
 from rich.console import Console
 from scipy import stats
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError, RunBusyError, UnknownNameError
 from hrl_escape.processes import take_lock
 from studies.__main__ import main
@@ -41,7 +41,7 @@ from studies.scaling.rounds import (
 from studies.scaling.told import HOLDS, advise_told, compute_told_costs, tell_told, tell_too_few
 from studies.store import Store
 from studies.study import find_study
-from tests.comparison.small import break_checkpoint
+from tests.benchmark.small import break_checkpoint
 from tests.studies.pages import load, save, tell
 
 
