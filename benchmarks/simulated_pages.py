@@ -35,11 +35,9 @@ from studies.price.contestants import BUTTON_COUNTS
 from studies.price.ratios import COSTS
 from studies.price.runs import PriceRun
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
-from studies.scaling.difficulty import tell_difficulty
-from studies.scaling.findings import tell_replication
+from studies.scaling.analysis import compare_given
 from studies.scaling.results import ScalingRun
-from studies.scaling.rounds import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
-from studies.scaling.told import compute_told_costs
+from studies.scaling.rounds import GIVEN, GIVEN_TASKS
 from studies.study import find_study
 
 __all__ = ["PAGES", "Draw"]
@@ -218,31 +216,11 @@ def make_scaling_run(agent: str, task: tuple[str, int, str], run: int, score: fl
                       structure=((1, 1.0, 1.0),) if wait is not None else ())
 
 
-def is_wrong_of_told(draw: Draw, rng: np.random.Generator) -> bool:
-    """The page names a price of what a structure learner is told, where it matters to none; 10 runs a label."""
-    runs = [make_scaling_run(spec.label, task, run, float(score)) for task in TOLD_TASKS for spec in TOLD
+def is_wrong_of_given(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page names a price of what a structure learner is given, where it matters to none; 10 runs a label."""
+    runs = [make_scaling_run(spec.label, task, run, float(score)) for task in GIVEN_TASKS for spec in GIVEN
             for run, score in enumerate(draw(rng, RUNS))]
-    return any(cost.is_shown for cost in compute_told_costs(runs))
-
-
-def is_wrong_of_difficulty(draw: Draw, rng: np.random.Generator) -> bool:
-    """A measure orders rooms better than another, where each is a room's difficulty and its own error; 24 rooms."""
-    runs = []
-    for number, difficulty in enumerate(draw(rng, 24).tolist()):
-        buttons, edges, depth = np.round(10 + 5 * (difficulty + rng.normal(0, 0.3, 3))).astype(int).tolist()
-        score = 1.0 - min(1.0, max(0.0, difficulty))
-        for agent, rule in ((agent, rule) for agent in AGENTS[:4] for rule in RULES):
-            run = make_scaling_run(agent, ("layered", buttons, rule), number, score * rng.uniform(0.5, 1.0))
-            runs.append(replace(run, edges=edges, depth=depth))
-    told = " ".join(tell_difficulty(runs, rng))
-    return "No measure is shown" not in told
-
-
-def is_wrong_of_fresh_bar(draw: Draw, rng: np.random.Generator) -> bool:
-    """Fresh runs of the bar do better or worse than the published ones, where all are alike; 10 and 10 runs."""
-    fresh, published = ([make_scaling_run(BAR_AGENT, task, run, float(score)) for task in BAR
-                         for run, score in enumerate(draw(rng, RUNS))] for _ in range(2))
-    return any("than the published" in sentence for sentence in tell_replication(fresh, published))
+    return any(cost.sign for cost in compare_given(runs).values())
 
 
 PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
@@ -257,9 +235,7 @@ PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "order of the ladder's rungs": is_wrong_of_rungs,
     "learned options on the dial": is_wrong_of_dial,
     "do options help": is_wrong_of_price,
-    "what structure learners are told": is_wrong_of_told,
-    "what makes rooms difficult": is_wrong_of_difficulty,
-    "the bar with fresh runs": is_wrong_of_fresh_bar,
+    "what structure learners are given": is_wrong_of_given,
     "numbers of the ladder's buttons": is_wrong_of_numbers,
     "generalisation": is_wrong_of_generalisation,
 }

@@ -19,7 +19,7 @@ from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.study import ROOT, Page, Study
 
-__all__ = ["format_short", "make_table", "render", "write_page"]
+__all__ = ["format_interval", "format_short", "format_span", "make_table", "render", "write_page"]
 
 
 def write_page(study: Study, page: Page, docs: Path) -> Page:
@@ -51,6 +51,25 @@ def make_table(header: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
     head = "".join(f" {cell} |" if cell else " |" for cell in map(str, header))
     return "\n".join([f"|{head}", f"|{'---|' * len(header)}",
                       *(f"| {' | '.join(map(str, row))} |" for row in rows)])
+
+
+def format_interval(found: Any, form: str = "") -> str:
+    """Mean with its interval: `+0.12 (+0.02 to +0.21)`.
+
+    Args:
+        found: has `mean`, `low` and `high`.
+        form: of each number, as for `format`; by default two significant digits.
+    """
+    return f"{_format(found.mean, form)} ({format_span(found, form)})"
+
+
+def format_span(found: Any, form: str = "") -> str:
+    """Interval alone: `+0.02 to +0.21`; see `format_interval`."""
+    return f"{_format(found.low, form)} to {_format(found.high, form)}"
+
+
+def _format(value: float, form: str) -> str:
+    return format(value, form) if form else format_short(value)
 
 
 def format_short(value: float) -> str:

@@ -25,7 +25,7 @@ from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import THEMES
-from studies.page import format_short
+from studies.page import format_interval, format_short, format_span
 from studies.running import open_store
 from studies.study import ROOT, Findings, find_study
 from studies.titles import find_title
@@ -199,22 +199,3 @@ def publish(page: ResultPage, docs: Path) -> None:
         for theme in THEMES:
             save_figure(docs / "figures" / f"{name}{theme.suffix}.svg", drawings[name](theme))
     write_text(docs / f"{page.name}.md", text)
-
-
-def format_interval(found: Any, form: str = "") -> str:
-    """Mean with its interval: `+0.12 (+0.02 to +0.21)`.
-
-    Args:
-        found: has `mean`, `low` and `high`.
-        form: of each number, as for `format`; by default two significant digits.
-    """
-    return f"{_format(found.mean, form)} ({format_span(found, form)})"
-
-
-def format_span(found: Any, form: str = "") -> str:
-    """Interval alone: `+0.02 to +0.21`; see `format_interval`."""
-    return f"{_format(found.low, form)} to {_format(found.high, form)}"
-
-
-def _format(value: float, form: str) -> str:
-    return format(value, form) if form else format_short(value)

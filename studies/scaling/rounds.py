@@ -2,7 +2,7 @@
 
 Every run has a room of its own and ends early once its agent has solved it (`SolvedRule`). The study is a sequence of
 grids, because an agent that never escaped with fewer buttons does not run with more. Apart from these, factored R-MAX
-is told less than it usually is (`TOLD`).
+is given less than it usually is (`GIVEN`).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from studies.running import refuse_failures
 from studies.scaling.results import RoomKind, ScalingRun, collect_scaling_runs
 
 __all__ = [
-    "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GRAPHS", "MAX_PARENTS", "NEAR_BEST", "RULES", "SIZES",
-    "STUDY_PARTS", "TOLD", "TOLD_TASKS", "Round", "choose_options", "make_room", "run_scaling",
+    "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GIVEN", "GIVEN_TASKS", "GRAPHS", "HOLDS", "MAX_PARENTS",
+    "NEAR_BEST", "RULES", "SIZES", "STUDY_PARTS", "Round", "choose_options", "make_room", "run_scaling",
 ]  # fmt: skip
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
@@ -56,9 +56,11 @@ def choose_options(name: str, label: str = "", **settings: Any) -> AgentSpec:
     return AgentSpec(name, label or name, settings=settings, options=OptionsView(include_primitives=False))
 
 
-TOLD = tuple(choose_options(BAR_AGENT, f"{conditions}, {most}", max_parents=most, conditions=conditions)
+GIVEN = tuple(choose_options(BAR_AGENT, f"{conditions}, {most}", max_parents=most, conditions=conditions)
              for conditions in _DATA["told"]["conditions"] for most in _DATA["told"]["parents"])
-TOLD_TASKS = tuple(RoomKind(*kind) for kind in _DATA["told"]["rooms"])
+GIVEN_TASKS = tuple(RoomKind(*kind) for kind in _DATA["told"]["rooms"])
+HOLDS = f"all-on, {MAX_PARENTS}"
+"""Label of the learner that is given just what holds in these rooms."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,7 @@ def _list_rounds(seeds: Sequence[int], first_seed: int, parts: Sequence[str], ag
             yield Round(BAR, (choose_options(BAR_AGENT),), seed)
     if "told" in parts:
         for seed in seeds:
-            yield Round(TOLD_TASKS, TOLD, seed)
+            yield Round(GIVEN_TASKS, GIVEN, seed)
     for seed in seeds if "agents" in parts else ():
         for place, buttons in enumerate(SIZES):
             for agent in agents:

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
+import copy
 from pathlib import Path
-from statistics import median
+from types import SimpleNamespace
 
 import pytest
 
 from studies.page import render
-from studies.parts.reach import BASELINE, FULL, HEADLINE, LIMIT, RULE, count_escapes, supports_headline
-from studies.publishing import list_pages
+from studies.pages.parts import RULES
+from studies.parts.reach import BASELINE, FULL, RULE, count_escapes
+from studies.publishing import list_pages, load_findings
 from studies.running import analyse, open_store
 from studies.study import find_study, list_studies
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
+HEADLINE = ("When a wrong press turns all buttons off, only agents that learn the dependencies escape from more than "
+            "ten buttons.")
+"""Stands in the README."""
+
+
+@pytest.fixture
+def parts() -> SimpleNamespace:
+    """Numbers of the page on parts, to change."""
+    return SimpleNamespace(parts=copy.deepcopy(load_findings("parts").numbers))
 
 
 @pytest.mark.nightly_for(
-    "parts", "ladder", "canon", "scaling", "paper", "learned", "hierarchies", "buttons", "intra-option", "profiles",
+    "ladder", "canon", "scaling", "paper", "learned", "hierarchies", "buttons", "intra-option", "profiles",
     "price", "budgets", "factorial")
 @pytest.mark.parametrize("name", [name for name, study in list_studies().items()
                                   if (study.folder / "page.md.j2").is_file()])
@@ -35,13 +44,11 @@ def test_every_page_of_results_but_the_index_is_published_by_the_studies():
                                       if (study.folder / "page.md.j2").is_file())}
 
 
-def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones():
+def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(parts: SimpleNamespace):
     """Its headline, its control and its open problem."""
     study = find_study("parts")
     runs = open_store(study, None).load()
-    for own in study.data["slices"].values():
-        seeds = range(own["first_seed"], own["first_seed"] + own["runs"])
-        assert supports_headline([run for run in runs if run.seed in seeds])
+    assert RULES["only-structure-escapes-beyond-ten"](parts) and RULES["search-is-fastest-up-to-ten-buttons"](parts)
     readme = " ".join((RESULTS.parents[1] / "README.md").read_text().split())
     assert f"**{HEADLINE}**" in readme and len(HEADLINE.split()) <= 20
     assert "docs/results/figures/reach.svg" in readme and "docs/results/figures/reach-dark.svg" in readme
@@ -59,23 +66,14 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones()
         assert last == 0 and all(before)
 
 
-def test_with_three_to_ten_buttons_the_search_baseline_is_faster_than_every_learner():
-    """As the README says below its figure."""
-    study = find_study("parts")
-    cells = {cell["name"] for cell in study.data["cells"] if "reference" not in cell}
-    waits: dict[tuple[str, int], list[float]] = {}
-    for run in open_store(study, None).load():
-        if run.rule == RULE and not run.failure and run.cell in {*cells, BASELINE}:
-            waits.setdefault((run.cell, run.buttons), []).append(run.first_escape or math.inf)
-    medians = {place: median(own) for place, own in waits.items()}
-    sizes = [size for size in study.data["sizes"] if 3 <= size <= LIMIT]
-    assert sizes == [3, 4, 6, 8, 10]
-    assert all(medians[BASELINE, size] < middle for size in sizes for (cell, other), middle in medians.items()
-               if other == size and cell != BASELINE)
+@pytest.mark.parametrize("slice_", ["first", "fresh"])
+def test_a_single_escape_without_structure_refutes_the_headline(slice_: str, parts: SimpleNamespace):
+    getattr(parts.parts, slice_).escapes[BASELINE, RULE][15] = (1, 5)
+    assert not RULES["only-structure-escapes-beyond-ten"](parts)
+    getattr(parts.parts, slice_).escapes[BASELINE, RULE].pop(15)
+    assert RULES["only-structure-escapes-beyond-ten"](parts), "options with memory were run with 15, too"
 
 
-def test_a_single_escape_without_structure_refutes_the_headline():
-    runs = open_store(find_study("parts"), None).load()
-    other = next(run for run in runs if run.cell == BASELINE and run.rule == RULE and run.buttons > LIMIT)
-    changed = [dataclasses.replace(run, first_escape=500) if run is other else run for run in runs]
-    assert supports_headline(runs) and not supports_headline(changed)
+def test_one_learner_that_is_faster_than_search_refutes_the_finding(parts: SimpleNamespace):
+    parts.parts.first.medians[FULL, RULE][10] = 100.0
+    assert not RULES["search-is-fastest-up-to-ten-buttons"](parts)

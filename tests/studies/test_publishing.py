@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 
 from studies.__main__ import main
 from studies.figures import THEMES, Theme, make_figure
+from studies.page import format_interval
 from studies.publishing import (
     ResultPage,
     Rules,
     UnsupportedClaimError,
     check_form,
-    format_interval,
     list_pages,
     load_findings,
     load_page,
