@@ -15,7 +15,7 @@ from hrl_escape.agents.algorithms.task_hierarchies.hiro import Hiro
 from hrl_escape.agents.algorithms.task_hierarchies.hrac import Hrac
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.inference import compare_pairs
+from hrl_escape.benchmark.inference import compare_pairs
 from tests.classic.exact import find_fewest_primitives
 from tests.classic.four_rooms import EAST_HALLWAY, GRID, FourRooms, count_primitives_between, walk_greedily
 

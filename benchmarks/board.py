@@ -17,10 +17,9 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.agents.spec import BAYES, REFERENCES
-from hrl_escape.cli import run_script
-from hrl_escape.comparison.inference import Estimate
-from hrl_escape.comparison.references.registry import BY_LIGHTS
-from hrl_escape.comparison.submission import (
+from hrl_escape.benchmark.inference import Estimate
+from hrl_escape.benchmark.references.registry import BY_LIGHTS
+from hrl_escape.benchmark.submission import (
     Cell,
     Check,
     Record,
@@ -28,6 +27,7 @@ from hrl_escape.comparison.submission import (
     find_rung,
     score_cells,
 )
+from hrl_escape.cli import run_script
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json, write_text
 from hrl_escape.names import count_nouns, make_console_text

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.simulated_pages import PAGES, Draw
-from hrl_escape.comparison.inference import compare_agents, compute_interval, is_better
-from hrl_escape.comparison.statistics import compute_iqm, compute_mean
+from hrl_escape.benchmark.inference import compare_agents, compute_interval, is_better
+from hrl_escape.benchmark.statistics import compute_iqm, compute_mean
 
 
 def make_bimodal(share: float) -> Draw:

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import Agent, FixedPolicy, count_actions, make_transition
 from hrl_escape.agents.seam import serve_one
-from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
-from hrl_escape.comparison.statistics import compute_iqm
+from hrl_escape.benchmark.inference import compare_pairs, correct_by_holm
+from hrl_escape.benchmark.statistics import compute_iqm
 from studies.statistics import compute_sign_flip_p
 
 EPISODES = 20

@@ -30,8 +30,8 @@ import torch
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.presets import get_grid
 from hrl_escape.cli import main as main_of_cli
-from hrl_escape.comparison.presets import get_grid
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate

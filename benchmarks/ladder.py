@@ -15,7 +15,7 @@ the protocol generalise in as many training rooms. A rung asks for something onl
 sound where the planner, which knows the graph, reaches 1, and it is a step too high where a learner falls there from
 above 0.9 on the rung before to below 0.1. The exit code is 1 if any of this does not hold.
 
-Costs are seconds of training that the lines of studies tell, `hrl_escape/comparison/costs.json`.
+Costs are seconds of training that the lines of studies tell, `hrl_escape/benchmark/costs.json`.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from rich.table import Table
 
 from hrl_escape.agents.registry import join_name, list_agents
 from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
+from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid
+from hrl_escape.benchmark.summary import summarise
 from hrl_escape.cli import run_script
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
-from hrl_escape.comparison.summary import summarise
 from hrl_escape.files import write_json
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from hrl_escape.sets.manifest import load_manifest
@@ -91,7 +91,7 @@ class Freeze:
 class Costs:
     """Options of the table of costs."""
 
-    out: Path = _ROOT / "hrl_escape/comparison/costs.json"
+    out: Path = _ROOT / "hrl_escape/benchmark/costs.json"
     """File to write."""
 
 

@@ -33,7 +33,7 @@ from hrl_escape.agents.seam import serve_many, serve_one
 from hrl_escape.agents.streams import gather_decisions
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.stream_run import make_streams
-from hrl_escape.comparison.inference import PairedTest, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.inference import PairedTest, compare_pairs, correct_by_holm
 
 EVALUATIONS = 8
 """Evaluations in a run, evenly spaced, the last at its end."""

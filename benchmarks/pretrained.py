@@ -16,10 +16,10 @@ from pathlib import Path
 
 from hrl_escape.agents import train
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
-from hrl_escape.comparison.runs import get_training_folder
-from hrl_escape.comparison.submission import Card, describe_score, pack_submission
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid
+from hrl_escape.benchmark.runs import get_training_folder
+from hrl_escape.benchmark.submission import Card, describe_score, pack_submission
 from hrl_escape.sets import load_benchmark
 from studies.unseen import make_streams
 
@@ -38,7 +38,7 @@ LEARNED = {
                      "reach"), (STRUCTURE, 4_000)),
     "lattice-8": (THREE, 4_000), "house": (THREE, 10_000)}
 """Rungs of `ladder-1`: who learns the first test room, and primitives; models keep all that they have met."""
-FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/pretrained"
+FOLDER = Path(__file__).parents[1] / "hrl_escape/benchmark/data/pretrained"
 
 
 def train_reader(place: str, primitives: int, out: Path) -> Path:

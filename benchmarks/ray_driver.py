@@ -14,10 +14,10 @@ from pathlib import Path
 from rich.console import Console
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.launching.clusters import RayLauncher
-from hrl_escape.comparison.launching.local import Listener
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.launching.clusters import RayLauncher
+from hrl_escape.benchmark.launching.local import Listener
 
 
 @dataclasses.dataclass(frozen=True)

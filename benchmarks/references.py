@@ -25,23 +25,23 @@ import numpy as np
 import tyro
 
 from hrl_escape.agents.spec import BAYES, ORACLE, AgentSpec
+from hrl_escape.benchmark.references.bayes import GraphFamily, condition_on_room, make_family
+from hrl_escape.benchmark.references.registry import BY_LIGHTS
+from hrl_escape.benchmark.rung_references import RungReferences
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import split_assignment
-from hrl_escape.comparison.references.bayes import GraphFamily, condition_on_room, make_family
-from hrl_escape.comparison.references.registry import BY_LIGHTS
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import read_json, read_toml, write_json
-from hrl_escape.ladder.references import RungReferences
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.changes import change_field
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.sets.manifest import AxisRecord, Manifest, RungRecord, SetRecord
 from hrl_escape.sets.rung import Rung, derive_seed
 
-_FOLDER = Path(__file__).parents[1] / "hrl_escape/ladder/data/references"
+_FOLDER = Path(__file__).parents[1] / "hrl_escape/benchmark/data/references"
 CHANCE, MOVES = "random-options", "random"
 YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": BY_LIGHTS, "moves": (MOVES,)}
 """Agents of which the best is an axis's yardstick."""

@@ -6,7 +6,6 @@ places something on a scale, it is wrong if its interval leaves the truth out.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 
@@ -19,7 +18,7 @@ from studies.factorial.design import get_factors, make_label, make_screening_des
 from studies.factorial.effects import Screening, compute_effects, measure_change, repeat_effects
 from studies.generalisation.analysis import compare_cells
 from studies.ladder.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
-from studies.learned.dial import PLANNED, DialLine, conclude_dial
+from studies.learned.dial import PLANNED, DialLine, find_best_option
 from studies.paper.analysis import list_claims
 from studies.paper.claims import judge_claims
 from studies.price.analysis import compare_pair
@@ -145,9 +144,8 @@ def is_wrong_of_dial(draw: Draw, rng: np.random.Generator) -> bool:
     lines = [DialLine("room", PLANNED, 0, failure, 0, 2 * half * (1 - failure)) for failure in settings["failures"]]
     lines += [DialLine("room", agent, budget, None, seed, float(value) / 2) for agent in settings["algorithms"]
               for budget in (1, 2, 3) for seed, value in enumerate(draw(rng, RUNS))]
-    told = conclude_dial(lines)
-    placed = [(int(low), int(high)) for low, high in re.findall(r"\((\d+)% to (\d+)%\)", told)]
-    return "Worth less" in told or any(not low <= 50 <= high for low, high in placed)
+    best, worse = find_best_option(lines)
+    return bool(worse) or best is not None and not best.place.low <= 0.5 <= best.place.high
 
 
 def make_price_runs(agent: str, scores: Sequence[float], buttons: int) -> list[PriceRun]:

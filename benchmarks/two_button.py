@@ -12,10 +12,10 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.presets import get_grid
-from hrl_escape.comparison.reporting.report import write_report
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
+from hrl_escape.benchmark.presets import get_grid
+from hrl_escape.benchmark.reporting.report import write_report
 
 NEEDED = {"smdp-dqn+primitives": 0.95, "smdp-q-learning+primitives": 0.95}
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 
 from hrl_escape.agents.registry import join_name, list_agents
-from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import Comparison, run_grid
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.files import write_json
 from hrl_escape.sets.room_spec import RoomSpec
 

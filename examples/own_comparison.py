@@ -7,10 +7,10 @@ from pathlib import Path
 
 import tyro
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.reporting.report import write_report
-from hrl_escape.comparison.verdict import write_verdict
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.reporting.report import write_report
+from hrl_escape.benchmark.verdict import write_verdict
 
 
 def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comparison")) -> None:

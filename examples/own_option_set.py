@@ -6,7 +6,7 @@ import tyro
 
 from hrl_escape import OptionsEnv, RoomPlanner
 from hrl_escape.agents.spec import OptionsView
-from hrl_escape.comparison import AgentSpec
+from hrl_escape.benchmark import AgentSpec
 from hrl_escape.env import EscapeRoomEnv
 from hrl_escape.options import Option, make_go_to, make_meta_options, register_option_set
 

@@ -1,6 +1,6 @@
 from .agents.making import make_agent
 from .agents.training.train import train
-from .comparison.pretrained import load_pretrained
+from .benchmark.pretrained import load_pretrained
 from .env.config import RoomConfig
 from .env.escape_room import EscapeRoomEnv
 from .env.instance import RoomInstance

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.statistics import compute_iqm
+from hrl_escape.benchmark.comparison import Comparison
+from hrl_escape.benchmark.statistics import compute_iqm
 
 __all__ = ["BaselineRun", "collect_baselines", "compute_run_efficiency"]
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import jinja2
 
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words

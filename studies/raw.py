@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.grid import GridRun
-from hrl_escape.comparison.runs import RunResult, get_training_folder
-from hrl_escape.comparison.statistics import compute_efficiency, compute_score
-from hrl_escape.comparison.summary import summarise
+from hrl_escape.benchmark.comparison import Comparison
+from hrl_escape.benchmark.grid import GridRun
+from hrl_escape.benchmark.runs import RunResult, get_training_folder
+from hrl_escape.benchmark.statistics import compute_efficiency, compute_score
+from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import FileReadError, describe_damage
 from hrl_escape.files import read_text
 

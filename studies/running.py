@@ -7,8 +7,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from hrl_escape.comparison.comparison import Comparison, run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import Comparison, run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError, ConfigError, FileWriteError, UnknownNameError
 from hrl_escape.files import TEMPORARY_PREFIX, describe_write_failure, make_folder
 from hrl_escape.processes import taking_turns

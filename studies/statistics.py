@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, LEVEL, compare_pairs, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS, Floats
+from hrl_escape.benchmark.inference import ALPHA, LEVEL, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS, Floats
 
 __all__ = ["Difference", "choose_holm_levels", "compare_signs", "compare_strata", "compute_median_interval",
            "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",

@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
 
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.presets import get_grid
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.presets import get_grid
 from hrl_escape.errors import FileReadError, UnknownNameError
 from hrl_escape.files import read_toml
 from studies.figures import Drawing

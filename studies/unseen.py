@@ -13,10 +13,10 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
-from hrl_escape.comparison.statistics import compute_mean_efficiency
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
+from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ComparisonError

@@ -16,7 +16,7 @@ from hypothesis import settings
 from tests.forks import RUN, run_fork
 
 if TYPE_CHECKING:
-    from hrl_escape.comparison.comparison import Comparison
+    from hrl_escape.benchmark.comparison import Comparison
 
 # One thread a process: xdist already fills the cores, and sums split over threads differ in the last bit.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -133,9 +133,9 @@ def nothing_kept() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     """The small comparison, run once for all tests that only read it, in whichever worker they are."""
-    from hrl_escape.comparison.comparison import read_comparison
+    from hrl_escape.benchmark.comparison import read_comparison
     from hrl_escape.processes import taking_turns
-    from tests.comparison.small import SMALL, run_quietly
+    from tests.benchmark.small import SMALL, run_quietly
 
     shared = tmp_path_factory.getbasetemp()
     folder = (shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared) / "small-comparison"

@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from hrl_escape.comparison.grid import load_grid
+from hrl_escape.benchmark.grid import load_grid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
@@ -16,8 +16,8 @@ from hrl_escape.files import read_toml
 from hrl_escape.sets.grammar import find_config
 from hrl_escape.viewer.play.episode import SavedEpisode, load_episode, save_episode
 from tests.agents.training.test_damage import change_bytes, change_value
+from tests.benchmark.small import SCHEMATIC, SMALL
 from tests.command_line import call
-from tests.comparison.small import SCHEMATIC, SMALL
 
 
 @pytest.fixture(scope="module")

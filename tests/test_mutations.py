@@ -12,7 +12,7 @@ import pytest
 
 from tests.mutations.mutation import ROOT, Mutation, PackageCopy, find_source, plant
 
-PACKAGES = ("env", "planning", "options", "agents", "algorithms", "sets", "comparison", "studies", "viewer",
+PACKAGES = ("env", "planning", "options", "agents", "algorithms", "sets", "benchmark", "studies", "viewer",
             "commands", "text", "data")
 MUTATIONS: dict[str, list[Mutation]] = {
     package: import_module(f"tests.mutations.{package}").MUTATIONS for package in PACKAGES}

@@ -12,8 +12,8 @@ import gymnasium
 import pytest
 
 from hrl_escape import EscapeRoomEnv, OptionsEnv, RoomInstance, RoomPlanner, generate, get_preset, train
-from hrl_escape.comparison.comparison import read_comparison, run_grid
-from hrl_escape.comparison.grid import Grid, RoomSpec
+from hrl_escape.benchmark.comparison import read_comparison, run_grid
+from hrl_escape.benchmark.grid import Grid, RoomSpec
 from hrl_escape.planning import ArmPlanner
 from hrl_escape.planning.plan import Plan
 from hrl_escape.sets import load_benchmark

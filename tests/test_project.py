@@ -34,7 +34,7 @@ LINT_IMPORTS = ("--no-cache", "--no-logo", "--config", str(ROOT / "pyproject.tom
 
 HOUSE = """
 cli errors files settings checks.option commands.list
-comparison.grid comparison.reporting.report viewer.scene
+benchmark.grid benchmark.reporting.report viewer.scene
 agents.agent agents.registry agents.components.networks agents.training.train
 agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.task_hierarchies.hamq
 agents.algorithms.task_hierarchies.maxq_q
@@ -45,13 +45,13 @@ env.config env.presets env.instance env.robot env.primitives env.geometry env.ob
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generation env.pictures.maps
 env.bullet.engine env.bullet.physics env.batched.engine env.batched.rules
 env.escape_room env.vector_env env.torchrl_env
-sets.benchmark sets.rung sets.instance_set ladder.references
+sets.benchmark sets.rung sets.instance_set benchmark.rung_references
 data.recording data.materialise text.text_env
 """.split()
 
 ALLOWED_IMPORTS = {
-    "cli": "hrl_escape.comparison.reporting.report",
-    "comparison.reporting.report": "hrl_escape.agents.training.train",
+    "cli": "hrl_escape.benchmark.reporting.report",
+    "benchmark.reporting.report": "hrl_escape.agents.training.train",
     "agents.algorithms.dqn": "torchrl",
     "agents.algorithms.sarsa": "hrl_escape.agents.algorithms.dqn",
     "options.options_env": "hrl_escape.env.escape_room",
@@ -59,7 +59,7 @@ ALLOWED_IMPORTS = {
     "planning.paths.navigator": "ompl",
     "planning.arm.model": "pinocchio",
     "sets.instance_set": "hrl_escape.env.escape_room",
-    "comparison.grid": "hrl_escape.sets.benchmark",
+    "benchmark.grid": "hrl_escape.sets.benchmark",
     "env.escape_room": "hrl_escape.env.engine",
     "env.vector_env": "gymnasium",
     "env.bullet.engine": "pybullet",
@@ -74,8 +74,8 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("planning.planner", "hrl_escape.options.option", "errors <- env <- floor <- planning <- options"),
     ("errors", "hrl_escape.env.config", "errors <- env <- floor <- planning <- options"),
     ("options.option", "hrl_escape.agents.agent", "errors <- env <- floor <- planning <- options"),
-    ("options.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
-    ("sets.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
+    ("options.new", "hrl_escape.benchmark.reporting.report", "errors <- env <- floor <- planning <- options"),
+    ("sets.new", "hrl_escape.benchmark.reporting.report", "errors <- env <- floor <- planning <- options"),
     ("agents.components.new", "hrl_escape.sets.rung", "errors <- env <- floor <- planning <- options"),
     ("viewer.scene", "hrl_escape.cli", "errors <- env <- floor <- planning <- options"),
     ("agents.algorithms.new", "hrl_escape.env.config", "agents know neither env, planning nor options"),
@@ -86,12 +86,12 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("env.sampling.new", "hrl_escape.env.batched.engine", "rules of a room"),
     ("planning.new", "hrl_escape.env.bullet.engine", "no engine but through"),
     ("commands.new", "hrl_escape.env.bullet.physics", "no engine but through"),
-    ("data.new", "hrl_escape.comparison.grid", "data sets and training name rooms"),
+    ("data.new", "hrl_escape.benchmark.grid", "data sets and training name rooms"),
     ("env.puzzles.new", "hrl_escape.env.puzzles.buttons", "puzzles do not import puzzles"),
     ("agents.hierarchy.new", "hrl_escape.agents.algorithms.task_hierarchies.hamq", "agents: the protocol and parts"),
     ("agents.components.new", "hrl_escape.agents.training.train", "agents: the protocol and parts"),
     ("env.bullet.new", "gymnasium", "within env, gymnasium only"),
-    ("comparison.new", "studies.store", "the package knows neither"),
+    ("benchmark.new", "studies.store", "the package knows neither"),
     ("agents.training.new", "benchmarks.machine", "the package knows neither"),
     ("viewer.new", "pybullet", "pybullet only in"),
     ("planning.arm.new", "ompl", "ompl only in"),

@@ -22,8 +22,8 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from strip import Strip
 
-from hrl_escape.comparison.recording import record_episode
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES
+from hrl_escape.benchmark.recording import record_episode
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, Rules
 from hrl_escape.env.observations.base import make_observer

@@ -9,9 +9,12 @@ from sphinx.application import Sphinx
 
 MOVED = {
     "schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
+    "api/comparison": "api/benchmark",
     **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
                     "results/do-options-help"),
     "results/why-it-worsens": "results/paper",
+    **dict.fromkeys(("results/canon", "results/hierarchies", "results/learned", "results/intra-option"),
+                    "results/all-algorithms"),
 }
 """Former name of each page that has another name now."""
 

@@ -17,9 +17,9 @@ from markupsafe import escape
 from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.agents import train
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.recording import record_episode
-from hrl_escape.comparison.references.registry import make_reference
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.recording import record_episode
+from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env import RoomInstance, generate, get_preset
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.moving_map import PLAYER_COLOURS as LOOK

@@ -7,7 +7,7 @@ a set to train on and a set to be tested on; they share no room and no layout.
 import numpy as np
 
 from hrl_escape import make_agent, train
-from hrl_escape.comparison import record_episode
+from hrl_escape.benchmark import record_episode
 from hrl_escape.options import DecisionMemory
 from hrl_escape.sets import load_benchmark
 

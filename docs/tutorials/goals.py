@@ -55,8 +55,8 @@ for agent, env in (("option-keyboard", HierarchyEnv(easy, kind="events", low_lev
     returns = [round(evaluation.mean_return) for evaluation in result.evaluations]
     print(f"{agent}: first escape after {result.first_escape} primitives, greedy returns {returns}")
 
-# One seed shows how it is done, not who is better: the [table of the canon](../results/canon.md) holds learners of
-# goals against flat ones and searchers. Last, both spaces in one picture.
+# One seed shows how it is done, not which agent is better: [all algorithms](../results/all-algorithms.md) compares
+# learners of goals with flat learners and search baselines. Last, both spaces in one picture.
 
 figure = get_figure_class()(figsize=(7.6, 3.9), layout="constrained")
 panels = figure.subplots(1, 2)

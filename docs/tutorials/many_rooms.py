@@ -10,7 +10,7 @@ import time
 import torch
 
 from hrl_escape import train
-from hrl_escape.comparison import record_episode
+from hrl_escape.benchmark import record_episode
 from hrl_escape.figures import get_figure_class
 from hrl_escape.options import DecisionMemory, MemoryStreams
 from hrl_escape.sets import load_benchmark

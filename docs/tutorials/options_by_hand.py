@@ -7,9 +7,9 @@ write it (I, pi, beta). This tutorial writes two by hand.
 import gymnasium
 
 from hrl_escape import OptionsEnv
+from hrl_escape.benchmark import RecordedEpisode
+from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.checks import check_option
-from hrl_escape.comparison import RecordedEpisode
-from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.options.option import Option, ScriptedOption
 
 # The simplest option is a fixed list of primitives. Nine left turns make a quarter turn of 90 degrees.

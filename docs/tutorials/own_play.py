@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hrl_escape import train
-from hrl_escape.comparison import record_episode
+from hrl_escape.benchmark import record_episode
 from hrl_escape.data import load_data, make_played_recording, save_recording
 from hrl_escape.data.card import draw_card
 from hrl_escape.env.presets import get_preset

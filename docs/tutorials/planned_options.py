@@ -8,7 +8,7 @@ import gymnasium
 
 import hrl_escape
 from hrl_escape import OptionsEnv, RoomPlanner
-from hrl_escape.comparison import record_episode
+from hrl_escape.benchmark import record_episode
 
 env = OptionsEnv(gymnasium.make("hrl_escape/Clutter-v1", instance_seed=3))
 _, info = env.reset(seed=0)

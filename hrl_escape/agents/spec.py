@@ -47,7 +47,7 @@ SWEEP, SWEEP_RANDOM = "sweep", "sweep-random"
 SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK = "search-random", "search-nearest", "search-backtrack"
 BAYES, ORACLE = "bayes", "oracle"
 REFERENCES = (SWEEP, SWEEP_RANDOM, SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK, BAYES, ORACLE)
-"""Agents that follow a rule and learn nothing; `comparison.references` makes them."""
+"""Agents that follow a rule and learn nothing; `benchmark.references` makes them."""
 _ALONE = (*REFERENCES, TEXT_AGENT)
 """Agents that are made from a room instead of spaces and settings."""
 

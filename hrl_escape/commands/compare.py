@@ -36,17 +36,17 @@ from rich.table import Table
 from rich.text import Text
 
 from hrl_escape.agents.spec import PARTS, AgentSpec
+from hrl_escape.benchmark.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
+from hrl_escape.benchmark.cost import describe_cost
+from hrl_escape.benchmark.grid import Grid, load_grid
+from hrl_escape.benchmark.launching.clusters import RayLauncher, SlurmLauncher
+from hrl_escape.benchmark.launching.local import Launcher, LocalLauncher
+from hrl_escape.benchmark.presets import GRIDS, get_grid
+from hrl_escape.benchmark.reporting.report import format_first_escape, write_report
+from hrl_escape.benchmark.summary import Summary
+from hrl_escape.benchmark.verdict import write_verdict
 from hrl_escape.commands.agent_choice import VectorObservation
 from hrl_escape.commands.room_choice import refuse_rooms, split_assignment
-from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
-from hrl_escape.comparison.cost import describe_cost
-from hrl_escape.comparison.grid import Grid, load_grid
-from hrl_escape.comparison.launching.clusters import RayLauncher, SlurmLauncher
-from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
-from hrl_escape.comparison.presets import GRIDS, get_grid
-from hrl_escape.comparison.reporting.report import format_first_escape, write_report
-from hrl_escape.comparison.summary import Summary
-from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.names import join_words, make_console_text, make_file_name, tell_seconds
 from hrl_escape.sets.room_spec import RoomSpec

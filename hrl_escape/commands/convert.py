@@ -19,7 +19,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from hrl_escape.comparison.conversion import convert_file
+from hrl_escape.benchmark.conversion import convert_file
 from hrl_escape.data.convert import convert_data
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text

@@ -34,8 +34,8 @@ from hrl_escape.agents.registry import (
     list_stream_agents,
 )
 from hrl_escape.agents.spec import PARTS, REFERENCES
-from hrl_escape.comparison.presets import GRIDS
-from hrl_escape.comparison.references.registry import describe_rule
+from hrl_escape.benchmark.presets import GRIDS
+from hrl_escape.benchmark.references.registry import describe_rule
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS, describe_config, get_preset

@@ -39,11 +39,11 @@ from hrl_escape.agents.training.callbacks import TensorBoard
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.records import record_returns
+from hrl_escape.benchmark.runs import find_starts, make_agent_env, make_player
 from hrl_escape.commands.agent_choice import AgentChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.records import record_returns
-from hrl_escape.comparison.runs import find_starts, make_agent_env, make_player
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name

@@ -1,7 +1,7 @@
 """Files of version 0.3 in the form of this version: recordings, recorded games and recorded episodes.
 
 Options were called by number (`meta-01`) or in words (`press button-1`). `hrl-escape convert` calls `convert_data`, and
-`comparison/conversion.py` for runs, submissions and grids.
+`benchmark/conversion.py` for runs, submissions and grids.
 """
 
 from __future__ import annotations

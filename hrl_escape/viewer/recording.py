@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 
 from hrl_escape.agents.training.evaluation import play_episode
-from hrl_escape.comparison.episodes import PrimitiveStep
+from hrl_escape.benchmark.episodes import PrimitiveStep
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.noise import check_seed

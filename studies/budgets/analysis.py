@@ -12,10 +12,10 @@ from typing import Any, TypeAlias
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
-from hrl_escape.comparison.launching.local import get_fork_server
-from hrl_escape.comparison.protocols import get_budget
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.launching.local import get_fork_server
+from hrl_escape.benchmark.protocols import get_budget
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.sets.benchmark import load_benchmark

@@ -20,9 +20,9 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.launching.local import get_fork_server
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
+from hrl_escape.benchmark.launching.local import get_fork_server
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate

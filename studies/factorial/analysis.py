@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.factorial.design import ALGORITHMS, FACTORS, make_factorial_grid, name_factorial
 from studies.factorial.effects import (

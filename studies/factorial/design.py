@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
-from hrl_escape.comparison.grid import Grid
+from hrl_escape.benchmark.grid import Grid
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.presets import ladder_room
 from hrl_escape.env.puzzles.graphs import GraphConfig

@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import PairedTest, compare_pairs, correct_by_holm
-from hrl_escape.comparison.statistics import Floats, compute_area
+from hrl_escape.benchmark.inference import PairedTest, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.statistics import Floats, compute_area
 from hrl_escape.errors import ComparisonError
 from studies.factorial.design import get_factors, make_label, make_screening_design
 from studies.raw import RawRun

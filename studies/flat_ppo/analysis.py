@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures import palette

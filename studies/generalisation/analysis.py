@@ -14,8 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from studies.baseline import BaselineRun, collect_baselines

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias, get_args
 
 from hrl_escape.agents.spec import parse_specs
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.env.config import Between, RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig

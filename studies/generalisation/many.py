@@ -13,8 +13,8 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.launching.local import get_fork_server
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.launching.local import get_fork_server
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.baseline import BaselineRun

@@ -14,16 +14,16 @@ from rich.console import Console
 
 from hrl_escape.agents.registry import RANDOM_OPTIONS
 from hrl_escape.agents.spec import BAYES, AgentSpec
-from hrl_escape.comparison.inference import (
+from hrl_escape.benchmark.inference import (
     ALPHA,
     compare_pairs,
     compute_wilson_interval,
     correct_by_holm,
 )
-from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_RATE, TOWER, compute_ladder_score, get_budget
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES
-from hrl_escape.comparison.reporting.figures import SPARE
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.protocols import PASSED_EFFICIENCY, PASSED_RATE, TOWER, compute_ladder_score, get_budget
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
+from hrl_escape.benchmark.reporting.figures import SPARE
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.env.pictures import palette
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.sets.benchmark import load_benchmark

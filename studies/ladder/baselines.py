@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.comparison import Comparison, read_comparison, run_grid
-from hrl_escape.comparison.grid import Grid
-from hrl_escape.comparison.launching.local import Failure, LocalLauncher
-from hrl_escape.comparison.protocols import (
+from hrl_escape.benchmark.comparison import Comparison, read_comparison, run_grid
+from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.launching.local import Failure, LocalLauncher
+from hrl_escape.benchmark.protocols import (
     TOWER,
     LadderSettings,
     Protocol,

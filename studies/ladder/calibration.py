@@ -13,8 +13,8 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun, compute_run_efficiency
 

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import isotonic_regression
 
 from hrl_escape.agents.training.evaluation import compute_episode_seed
-from hrl_escape.comparison.inference import LEVEL, compute_interval
-from hrl_escape.comparison.statistics import compute_mean
+from hrl_escape.benchmark.inference import LEVEL, compute_interval
+from hrl_escape.benchmark.statistics import compute_mean
 from hrl_escape.errors import ComparisonError, ConfigError, OptionError
 from hrl_escape.options.options_env import OptionsEnv
 

@@ -16,7 +16,7 @@ from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.launching.local import get_fork_server
+from hrl_escape.benchmark.launching.local import get_fork_server
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
 from hrl_escape.sets.benchmark import load_benchmark

@@ -19,11 +19,11 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import REFERENCES, AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.inference import LEVEL
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES, make_reference
+from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.commands.room_choice import split_assignment
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.inference import LEVEL
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES, make_reference
-from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.data.catalogue import find_recording
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.recording import load_recording

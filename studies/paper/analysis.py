@@ -13,8 +13,8 @@ from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.inference import Estimate
-from hrl_escape.comparison.statistics import Floats, compute_iqm
+from hrl_escape.benchmark.inference import Estimate
+from hrl_escape.benchmark.statistics import Floats, compute_iqm
 from hrl_escape.errors import ComparisonError
 from hrl_escape.settings import read_record
 from studies.figures import Theme, make_figure, write_label

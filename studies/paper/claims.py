@@ -13,8 +13,8 @@ from typing import Literal
 
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL, join_name
 from hrl_escape.agents.spec import AgentSpec, OptionsView
-from hrl_escape.comparison.inference import ALPHA, Estimate
-from hrl_escape.comparison.statistics import compute_final
+from hrl_escape.benchmark.inference import ALPHA, Estimate
+from hrl_escape.benchmark.statistics import compute_final
 from studies.paper.measures import (
     Measurement,
     Results,

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hrl_escape.comparison.inference import (
+from hrl_escape.benchmark.inference import (
     LEVEL,
     Estimate,
     Statistic,
@@ -23,7 +23,7 @@ from hrl_escape.comparison.inference import (
     cut_interval,
     draw_weights,
 )
-from hrl_escape.comparison.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean
+from hrl_escape.benchmark.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean
 from hrl_escape.errors import ComparisonError
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
 from studies.statistics import compute_sign_flip_p, compute_slope, cut_signs

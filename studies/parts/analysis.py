@@ -18,8 +18,8 @@ from rich.console import Console
 from hrl_escape.agents.old_specs import convert_label
 from hrl_escape.agents.spec import ORACLE, AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import ALPHA
+from hrl_escape.benchmark.inference import ALPHA
 from studies.statistics import compare_signs
 
 __all__ = ["Answer", "Exchange", "Law", "PartsRun", "answer", "choose_slope", "find_exchange", "fit_law", "is_given_up"]

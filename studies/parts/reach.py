@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator, PercentFormatter
 
-from hrl_escape.comparison.inference import compute_wilson_interval
+from hrl_escape.benchmark.inference import compute_wilson_interval
 from studies.figures import Theme, make_figure, write_label
 from studies.parts.answers import PartsRun
 

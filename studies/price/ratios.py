@@ -13,8 +13,8 @@ from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from hrl_escape.comparison.inference import LEVEL, correct_by_holm
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.inference import LEVEL, correct_by_holm
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from studies.page import format_short
 from studies.price.runs import PriceRun
 from studies.statistics import choose_holm_levels, find_lasting, list_subset_means

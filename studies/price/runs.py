@@ -22,7 +22,7 @@ from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.statistics import compute_efficiency
+from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.options_env import OptionsEnv

@@ -16,13 +16,13 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.comparison.inference import ALPHA, compare_pairs, correct_by_holm
-from hrl_escape.comparison.reporting.figures import draw_radar, list_references, make_profiles
-from hrl_escape.comparison.statistics import LEAST_RUNS
-from hrl_escape.comparison.verdict import count_things, spell_number
+from hrl_escape.benchmark.inference import ALPHA, compare_pairs, correct_by_holm
+from hrl_escape.benchmark.reporting.figures import draw_radar, list_references, make_profiles
+from hrl_escape.benchmark.rung_references import load_references
+from hrl_escape.benchmark.statistics import LEAST_RUNS
+from hrl_escape.benchmark.verdict import count_things, spell_number
 from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from hrl_escape.ladder.references import load_references
 from hrl_escape.names import join_words
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.manifest import AxisRecord

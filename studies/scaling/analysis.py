@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.figures import Theme, make_figure, write_label
 from studies.page import format_interval, make_table

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hrl_escape.agents.training.results import load_result
-from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.runs import get_training_folder
-from hrl_escape.comparison.solved_probe import find_edges_that_matter
+from hrl_escape.benchmark.comparison import Comparison
+from hrl_escape.benchmark.runs import get_training_folder
+from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 

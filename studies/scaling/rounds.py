@@ -18,9 +18,9 @@ from typing import Any
 from rich.console import Console
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.grid import Grid, SolvedRule
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.grid import Grid, SolvedRule
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

@@ -24,8 +24,8 @@ from rich.console import Console
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.registry import SEARCH_BASELINES, make_reference
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.references.registry import SEARCH_BASELINES, make_reference
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.kinematics import EpisodeEnd

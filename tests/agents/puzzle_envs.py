@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from hrl_escape.agents.making import make_agent
-from hrl_escape.comparison.solved_probe import compare_graphs, find_edges_that_matter
+from hrl_escape.benchmark.solved_probe import compare_graphs, find_edges_that_matter
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks.board import Row, conclude, read_records, write_page
-from hrl_escape.comparison.inference import Estimate
-from hrl_escape.comparison.submission import Check, Record, find_rung, read_submission, verify_cells
+from hrl_escape.benchmark.inference import Estimate
+from hrl_escape.benchmark.submission import Check, Record, find_rung, read_submission, verify_cells
 from hrl_escape.errors import FileReadError
 from tests.command_line import call_script
 

@@ -11,9 +11,9 @@ import tyro
 
 from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.benchmark.presets import get_grid
 from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
-from hrl_escape.comparison.presets import get_grid
 from hrl_escape.sets.room_spec import RoomSpec
 
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from hrl_escape.comparison.presets import get_grid
+from hrl_escape.benchmark.presets import get_grid
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from tests.command_line import call
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.comparison.conversion import rename_fields
+from hrl_escape.benchmark.conversion import rename_fields
 from hrl_escape.data.convert import convert_data
 from hrl_escape.data.recording import load_recording, save_recording
 from hrl_escape.env.presets import get_preset

@@ -41,6 +41,6 @@ def test_every_path_on_the_page_is_a_file_or_a_folder():
 
 def test_the_ten_questions_are_ten_and_a_wrong_answer_is_found():
     assert len(list_questions()) == 10
-    assert find_faults("`comparison/nowhere.py`") == ["comparison/nowhere.py is no file"]
-    assert find_faults("`comparison/statistics.py`, `compute_interval`") == [
+    assert find_faults("`benchmark/nowhere.py`") == ["benchmark/nowhere.py is no file"]
+    assert find_faults("`benchmark/statistics.py`, `compute_interval`") == [
         "compute_interval is not in the file named before it"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from hrl_escape.comparison import list_pretrained
+from hrl_escape.benchmark import list_pretrained
 from hrl_escape.data.published import read_published
 from hrl_escape.sets import load_benchmark
 

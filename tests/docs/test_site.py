@@ -45,7 +45,7 @@ def test_a_page_that_is_wrong_fails_the_build(tmp_path: Path):
     assert done.returncode != 0 and "nowhere.md" in done.stderr
 
 
-PACKAGES = ("env", "env.pictures", "planning", "options", "agents", "hierarchies", "sets", "data", "comparison",
+PACKAGES = ("env", "env.pictures", "planning", "options", "agents", "hierarchies", "sets", "data", "benchmark",
             "checks")
 """The packages whose exported names are public."""
 

@@ -90,7 +90,7 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
     script = (
         "from hrl_escape.cli import main\n"
         "main(['list', 'observations'])\n"
-        "from hrl_escape.comparison.presets import GRIDS\n"
+        "from hrl_escape.benchmark.presets import GRIDS\n"
         "import dataclasses\n"
         "print(dataclasses.replace(GRIDS['quickstart'], observation='planted-compass').observation, 'in a grid')\n"
         "main(['train', '--help'])\n"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hrl_escape.comparison.launching.local import LocalLauncher
-from hrl_escape.comparison.summary import summarise
-from hrl_escape.comparison.verdict import write_verdict
-from tests.comparison.small import change, run_quietly
+from hrl_escape.benchmark.launching.local import LocalLauncher
+from hrl_escape.benchmark.summary import summarise
+from hrl_escape.benchmark.verdict import write_verdict
+from tests.benchmark.small import change, run_quietly
 
 
 def test_a_comparison_runs_them_and_names_what_they_are_told(tmp_path: Path):

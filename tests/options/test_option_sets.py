@@ -7,8 +7,8 @@ import pytest
 
 from hrl_escape import OptionsEnv, train
 from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.benchmark.grid import Grid
 from hrl_escape.cli import main
-from hrl_escape.comparison.grid import Grid
 from hrl_escape.env import EscapeRoomContinuousEnv, EscapeRoomEnv
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.options import (

@@ -13,9 +13,9 @@ from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env as make_view
-from hrl_escape.comparison.statistics import compute_mean_efficiency
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env as make_view
+from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_escape.comparison.protocols import get_budget
+from hrl_escape.benchmark.protocols import get_budget
 from hrl_escape.errors import UnknownNameError
 from studies.baseline import BaselineRun
 from studies.budgets.analysis import Args, identify, measure, run_once, tell_budget

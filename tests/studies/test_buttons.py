@@ -13,8 +13,8 @@ import pytest
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
-from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.runs import make_agent_env
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.runs import make_agent_env
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.buttons.analysis import Args, EscapeRun, Size, analyse, find_reach, measure, run_once

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hrl_escape.comparison.protocols import TOWER, compute_ladder_score
+from hrl_escape.benchmark.protocols import TOWER, compute_ladder_score
 from hrl_escape.sets.benchmark import load_benchmark
 from studies.__main__ import main
 from studies.baseline import BaselineRun

@@ -14,8 +14,8 @@ import pytest
 from scipy import stats
 
 from hrl_escape.agents.registry import KERAS_RL
-from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.summary import summarise
+from hrl_escape.benchmark.comparison import Comparison
+from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import ComparisonError, FileReadError
 from hrl_escape.settings import read_record
 from studies.__main__ import main

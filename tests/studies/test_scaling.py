@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from tests.comparison.small import break_checkpoint
 
-from hrl_escape.comparison.comparison import run_grid
-from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.benchmark.comparison import run_grid
+from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError, RunBusyError, UnknownNameError
 from hrl_escape.processes import take_lock
 from studies.__main__ import main
@@ -42,7 +43,6 @@ from studies.scaling.rounds import (
 )
 from studies.store import Store
 from studies.study import find_study
-from tests.comparison.small import break_checkpoint
 from tests.studies.pages import load, save
 
 

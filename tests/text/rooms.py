@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import Any
 
 from hrl_escape.agents.training.evaluation import play_episode
-from hrl_escape.comparison.episodes import StateRecorder
-from hrl_escape.comparison.references.registry import make_reference
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState

@@ -2,7 +2,7 @@
 
 An episode's seed is a function of the run's seed and its number, and checkpoints are taken between episodes, so no
 environment needs saving: a killed run resumes to the same bits. Evaluations happen between episodes
-too. Many runs at once are the part of `hrl_escape.comparison`.
+too. Many runs at once are the part of `hrl_escape.benchmark`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 run_observers: Registry[Callable[..., object]] = Registry(
     "run observer", "a function (env, seeds, evaluations, source)", callable,
-    {"best-known-returns": "hrl_escape.comparison.records:record_escapes"})
+    {"best-known-returns": "hrl_escape.benchmark.records:record_escapes"})
 """Functions that `train` calls at its end, as `observer(env, seeds, evaluations, source)`: the evaluation environment,
 the seeds of an evaluation's episodes, the evaluations, and agent and seed in words. They are imported when a run has
 ended."""

@@ -29,10 +29,8 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.commands.compare import LaunchArgs
-from hrl_escape.commands.room_choice import refuse_options
-from hrl_escape.comparison.comparison import read_comparison
-from hrl_escape.comparison.protocols import (
+from hrl_escape.benchmark.comparison import read_comparison
+from hrl_escape.benchmark.protocols import (
     TOWER,
     LadderSettings,
     Protocol,
@@ -44,12 +42,14 @@ from hrl_escape.comparison.protocols import (
     name_protocol,
     score_standings,
 )
-from hrl_escape.comparison.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
-from hrl_escape.comparison.reporting.report import write_report
-from hrl_escape.comparison.summary import summarise
+from hrl_escape.benchmark.reporting.figures import AxisScore, draw_radar, list_references, make_profiles
+from hrl_escape.benchmark.reporting.report import write_report
+from hrl_escape.benchmark.rung_references import load_references
+from hrl_escape.benchmark.summary import summarise
+from hrl_escape.commands.compare import LaunchArgs
+from hrl_escape.commands.room_choice import refuse_options
 from hrl_escape.errors import FileReadError
 from hrl_escape.figures import save_figure
-from hrl_escape.ladder.references import load_references
 from hrl_escape.names import join_words, make_file_name
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 

@@ -11,10 +11,10 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.benchmark.rung_references import RungReferences, load_references
 from hrl_escape.commands.room_choice import refuse_options
 from hrl_escape.env.presets import describe_config
 from hrl_escape.errors import ConfigError
-from hrl_escape.ladder.references import RungReferences, load_references
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.manifest import ROLES, list_changes
 from hrl_escape.sets.rung import Rung
@@ -76,8 +76,8 @@ def _show_references(own: RungReferences | None) -> list[str]:
 
 def _estimate(rung: Rung) -> float:
     from hrl_escape.agents.spec import AgentSpec
-    from hrl_escape.comparison.cost import count_buttons, estimate_hours, load_rates  # these load planners
-    from hrl_escape.comparison.protocols import get_budget
+    from hrl_escape.benchmark.cost import count_buttons, estimate_hours, load_rates  # these load planners
+    from hrl_escape.benchmark.protocols import get_budget
 
     rooms = [count_buttons(rung.config)] * min(10, rung.record.test.count)
     return round(estimate_hours([AgentSpec("smdp-dqn")], get_budget(rung.name), rooms, 10, load_rates())[0], 2)

@@ -16,7 +16,7 @@ from hrl_escape.files import read_toml, write_bytes
 from hrl_escape.names import count_nouns, make_console_text
 
 if TYPE_CHECKING:
-    from hrl_escape.comparison.submission import Cell, CheckedCell
+    from hrl_escape.benchmark.submission import Cell, CheckedCell
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ def run_start(args: StartArgs) -> None:
     Example:
         hrl-escape ladder start my-agent
     """
-    starter = files("hrl_escape.comparison") / "starter"
+    starter = files("hrl_escape.benchmark") / "starter"
     with making_folder(args.folder) as made:
         for name in ("agent.py", "card.toml"):
             source = starter / (name + ".txt" * name.endswith(".py"))
@@ -73,7 +73,7 @@ def run_submit(args: SubmitArgs) -> None:
         hrl-escape ladder submit runs/mine --card card.toml --rung chain-3 --out mine.zip
         hrl-escape ladder submit search-nearest --card card.toml --rung chain-3 --rooms 2 --out search.zip
     """
-    from hrl_escape.comparison.submission import (  # loads what plays
+    from hrl_escape.benchmark.submission import (  # loads what plays
         Card,
         describe_command,
         describe_score,
@@ -119,7 +119,7 @@ def run_verify_submission(args: VerifySubmissionArgs) -> int:
         hrl-escape ladder verify-submission mine.zip
         hrl-escape ladder verify-submission mine.zip --cells 64 --trust --record docs/board/mine.json
     """
-    from hrl_escape.comparison.submission import (  # loads what plays
+    from hrl_escape.benchmark.submission import (  # loads what plays
         Check,
         Record,
         describe_command,

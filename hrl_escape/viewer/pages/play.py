@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from hrl_escape.comparison.episodes import PrimitiveStep
+from hrl_escape.benchmark.episodes import PrimitiveStep
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.errors import EscapeError
 from hrl_escape.viewer.pages.panels import make_facts, make_keys

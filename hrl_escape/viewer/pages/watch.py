@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from hrl_escape.comparison.episodes import PrimitiveStep
-from hrl_escape.comparison.solved_probe import find_edges_that_matter
+from hrl_escape.benchmark.episodes import PrimitiveStep
+from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin

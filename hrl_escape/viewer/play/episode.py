@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from hrl_escape.comparison.episodes import PrimitiveStep, StateRecorder
+from hrl_escape.benchmark.episodes import PrimitiveStep, StateRecorder
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance

@@ -29,9 +29,9 @@ from hrl_escape.agents.training.env_description import make_described_env, name_
 from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
-from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.comparison.pretrained import list_pretrained, unpack_pretrained
-from hrl_escape.comparison.runs import make_agent_env, make_player
+from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
+from hrl_escape.benchmark.pretrained import list_pretrained, unpack_pretrained
+from hrl_escape.benchmark.runs import make_agent_env, make_player
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState

@@ -5,8 +5,8 @@ import json
 
 import pytest
 
+from hrl_escape.benchmark.comparison import read_comparison
 from hrl_escape.cli import main
-from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from hrl_escape.sets.manifest import AxisRecord

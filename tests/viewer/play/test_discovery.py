@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
+from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.commands.play import PlayArgs
-from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset

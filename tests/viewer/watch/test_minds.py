@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from hrl_escape.comparison.episodes import PrimitiveStep
+from hrl_escape.benchmark.episodes import PrimitiveStep
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.env.sampling.generation import generate

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.training.train import load_agent, train
-from hrl_escape.comparison.episodes import PrimitiveStep
+from hrl_escape.benchmark.episodes import PrimitiveStep
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.viewer.watch.drivers import open_driver

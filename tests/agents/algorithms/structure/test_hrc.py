@@ -14,7 +14,7 @@ from hrl_escape.agents.algorithms.structure.hrc import (
     HrcSettings,
     compute_intervention_probabilities,
 )
-from hrl_escape.comparison.solved_probe import find_edges_that_matter
+from hrl_escape.benchmark.solved_probe import find_edges_that_matter
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from tests.agents.puzzle_envs import make_button_env
 from tests.agents.running import interact

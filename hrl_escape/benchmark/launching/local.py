@@ -1,0 +1,199 @@
+"""Launcher on this machine: runs in parallel, each in a process of its own, with a listener for their outcomes.
+
+A run that raises, is killed or crashes its interpreter fails alone. Results travel through files (`runs.py`), so
+nothing is lost with this process. The caller decides which runs are still to be made.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import multiprocessing
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerContext
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Protocol
+
+from hrl_escape.benchmark.grid import GridRun
+from hrl_escape.benchmark.runs import RunResult, get_run_folder, get_training_folder, load_run_result
+from hrl_escape.errors import ConfigError, FileReadError
+
+TICK_SECONDS = 0.5
+THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """Run that did not finish."""
+
+    run: GridRun  # the run
+    message: str  # the error, for people
+    traceback: str = ""  # its traceback; empty for errors of the package's own
+
+
+class Listener(Protocol):
+    """Receiver of the outcomes of runs."""
+
+    def finish(self, run: GridRun, result: RunResult) -> None:
+        """Take note of a finished run."""
+        ...
+
+    def fail(self, failure: Failure) -> None:
+        """Take note of a failed run."""
+        ...
+
+    def tick(self, progress: Mapping[str, int]) -> None:
+        """Called periodically with the primitives of each run under way, by folder."""
+        ...
+
+
+class Launcher(Protocol):
+    """Executes runs, here or on a cluster, and tells a listener what becomes of them."""
+
+    def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
+        """Execute all runs; return once each has finished or failed."""
+        ...
+
+
+@dataclass(frozen=True)
+class LocalLauncher:
+    """Processes on this machine."""
+
+    workers: int | None = None  # runs at a time; None for one a core
+    checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
+    begin_until: float = math.inf  # `time.monotonic()` after which no further run is begun
+
+    def __post_init__(self) -> None:
+        choose_workers(self.workers)  # a wrong number is refused before anything is begun
+
+    def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
+        """Execute the runs; an interruption ends their processes, and the runs can go on another time."""
+        waiting, active = deque(runs), dict[int, tuple[BaseProcess, GridRun, Connection]]()
+        workers = choose_workers(self.workers)
+        try:
+            while waiting or active:
+                if time.monotonic() > self.begin_until:
+                    waiting.clear()
+                while waiting and len(active) < workers:
+                    run = waiting.popleft()
+                    process, answer = _start(run, out, self.checkpoint_seconds)
+                    active[process.sentinel] = process, run, answer
+                for sentinel in wait(list(active), TICK_SECONDS):
+                    process, run, answer = active.pop(sentinel)  # pyright: ignore[reportArgumentType]
+                    process.join()
+                    report_outcome(out, run, process.exitcode, _receive(answer), listener)
+                listener.tick({run.folder: read_progress(out, run) for _, run, _ in active.values()})
+        finally:
+            for process, _, _ in active.values():
+                process.kill()
+            for process, _, _ in active.values():
+                process.join()
+
+
+def get_fork_server() -> ForkServerContext:
+    """Context of processes that are forked from one which has loaded everything heavy, each in milliseconds."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["hrl_escape.benchmark.launching.worker"])
+    return context
+
+
+def _start(run: GridRun, out: Path, checkpoint_seconds: float) -> tuple[BaseProcess, Connection]:
+    """Start a process for a run; it answers through the connection where an error ends it."""
+    context = get_fork_server()
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(run, out, checkpoint_seconds, sender), daemon=True)
+    with _one_thread_each():
+        process.start()
+    sender.close()
+    return process, receiver
+
+
+def _work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
+    from hrl_escape.benchmark.launching.worker import work  # brings torch in, which only the new process needs
+
+    work(run, out, checkpoint_seconds, answer)
+
+
+def _receive(answer: Connection) -> dict[str, str] | None:
+    """Error that a process has sent, if it has sent one."""
+    with answer:
+        try:
+            return answer.recv()
+        except EOFError:
+            return None
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let processes that are started in the body use one thread for each library."""
+    before = {name: os.environ.get(name) for name in THREAD_SETTINGS}
+    os.environ.update(dict.fromkeys(THREAD_SETTINGS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def report_outcome(out: Path, run: GridRun, exit_code: int | None, error: dict[str, str] | None,
+                   listener: Listener) -> None:
+    """Tell a listener how a run has ended: with a result in its folder, with an error, or by the process's death."""
+    if error is not None:
+        listener.fail(Failure(run, **error))
+        return
+    try:
+        result = load_run_result(out, run)
+    except FileReadError as damage:
+        listener.fail(Failure(run, str(damage)))
+        return
+    if result is None:
+        listener.fail(Failure(run, _describe_death(exit_code), _read_tail(get_run_folder(out, run) / "output.txt")))
+    else:
+        listener.finish(run, result)
+
+
+def _describe_death(exit_code: int | None) -> str:
+    if exit_code is not None and exit_code < 0:
+        name = signal.Signals(-exit_code).name
+        hint = "; the machine may have run out of memory" if name == "SIGKILL" else ""
+        return f"its process was ended by {name}{hint}"
+    how = "died" if exit_code is None else f"ended with code {exit_code}"
+    return f"its process {how} and left no result"
+
+
+def _read_tail(path: Path) -> str:
+    try:
+        return "\n".join(path.read_text(errors="replace").splitlines()[-30:])
+    except OSError:
+        return ""
+
+
+def read_progress(out: Path, run: GridRun) -> int:
+    """Primitives a running run has trained for, by the last whole line of its log."""
+    try:
+        with open(get_training_folder(out, run) / "log.jsonl", "rb") as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - 16_384))
+            lines = log.read().split(b"\n")
+        return int(json.loads(lines[-2])["primitives"])
+    except (OSError, IndexError, ValueError, KeyError, TypeError):
+        return 0
+
+
+def choose_workers(workers: int | None) -> int:
+    """Number of processes to use, one a core by default; `ConfigError` for fewer than one."""
+    if workers is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if workers < 1:
+        raise ConfigError("workers", workers, "it must be a whole number, 1 or more; leave it out for one a core")
+    return workers

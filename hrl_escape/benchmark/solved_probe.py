@@ -1,0 +1,142 @@
+"""Probe that ends a run once its agent has solved the room: near the best return, and the whole graph recovered.
+
+It notes when the frozen policy first came near the best, and the precision and recall of the agent's believed graph.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.agents.training.results import EpisodeRecord
+from hrl_escape.benchmark.grid import SolvedRule
+from hrl_escape.benchmark.score_range import ScoreRange
+from hrl_escape.benchmark.statistics import compute_score
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.graphs import find_ancestors
+from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
+
+EdgeSet = frozenset[tuple[int, int]]
+"""Edges of a dependency graph, (parent, child)."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Course of a run towards its solution."""
+
+    near_best: int | None
+    """Primitives at the first of two checks in a row that scored near the best; None without such a pair."""
+    edges: int  # number of edges that matter in the room's graph
+    structure: tuple[tuple[int, float, float], ...]
+    """(primitives, precision, recall) at every change; empty for agents without a graph."""
+
+
+class SolvedProbe(Stateful):
+    """Measures whether an agent has solved its room; see `SolvedRule`.
+
+    An agent that learns nothing gets no better, so it is done with its first escape. The policy is checked in `env`,
+    between training episodes; `score_range` is the room's for this agent.
+    """
+
+    STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),
+                                  unpack=lambda saved: [(int(at), *found) for at, *found in saved]),
+             "_near_best", "_candidate", "_next_check", "_next_graph")
+
+    def __init__(self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec,
+                 score_range: ScoreRange) -> None:
+        graph = get_mixin(instance.puzzle, Graphed)
+        self._rule, self._env, self._range, self._goals = rule, env, score_range, graph.goal_targets
+        self._learns = spec.algorithm != "random"
+        self._true = find_edges_that_matter(graph.edges, self._goals)
+        room: Any = env.unwrapped
+        self._places = room.observer.light_places
+        self._has_escaped = False
+        self._structure: list[tuple[int, float, float]] = []
+        self._near_best: int | None = None
+        self._candidate: int | None = None
+        self._next_check = self._next_graph = 0
+
+    @property
+    def solution(self) -> Solution:
+        """The course so far."""
+        return Solution(self._near_best, len(self._true), tuple(self._structure))
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The rule, as a JSON value."""
+        return {"until_solved": self._rule.to_dict()}
+
+    @property
+    def is_done(self) -> bool:
+        """The room is solved."""
+        if not self._learns:
+            return self._has_escaped
+        is_graph_known = not self._structure or self._structure[-1][1:] == (1.0, 1.0)
+        return self._near_best is not None and is_graph_known
+
+    def after_decision(self, agent: Agent, primitives: int) -> None:
+        """Compare the believed graph with the true one, every so often."""
+        if primitives < self._next_graph or (graph := agent.get_graph()) is None:
+            return
+        self._next_graph = primitives + self._rule.graph_every
+        believed = find_edges_that_matter(find_target_edges(graph, self._places), self._goals)
+        precision, recall = compare_graphs(believed, self._true)
+        now = round(precision, 4), round(recall, 4)
+        if not self._structure or self._structure[-1][1:] != now:
+            self._structure.append((primitives, *now))
+
+    def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
+        """Check the frozen policy, every so often, from the first escape until it is near the best."""
+        self._has_escaped = self._has_escaped or bool(episode.success)
+        at = episode.primitives
+        if not self._learns or not self._has_escaped or self._near_best is not None or at < self._next_check:
+            return
+        self._next_check = at + self._rule.check_every
+        found = evaluate(agent, self._env, episodes=1).mean_return
+        if compute_score(found, self._range.worst, np.mean(self._range.reachable)) < self._rule.score:
+            self._candidate = None
+        elif self._candidate is None:
+            self._candidate = at
+        else:
+            self._near_best = self._candidate
+
+
+# --- the graph --------------------------------------------------------------------------------
+
+
+def find_target_edges(graph: EdgeSet, places: Sequence[int]) -> EdgeSet:
+    """Edges among targets, of a graph among the observation's components.
+
+    Args:
+        graph: (parent, child) pairs of components; see `Agent.get_graph`.
+        places: component of each target's light; see `Observer.light_places`.
+    """
+    targets = {place: target for target, place in enumerate(places)}
+    return frozenset((targets[parent], targets[child]) for parent, child in graph
+                     if parent in targets and child in targets)
+
+
+def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:
+    """Edges, of a graph that may have cycles, that some order of presses towards the goals can tell from none.
+
+    Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c, an
+    edge from a to c changes nothing, so no agent can find it.
+    """
+    every = set(edges)
+    ancestors = find_ancestors(every, goals)
+    kept = {(parent, child) for parent, child in every if child in ancestors}
+    return frozenset(edge for edge in kept if edge[0] not in find_ancestors(kept - {edge}, [edge[1]]))
+
+
+def compare_graphs(found: EdgeSet, true: EdgeSet) -> tuple[float, float]:
+    """Precision (1 where nothing was found and nothing is there, else 0) and recall of edges."""
+    hits = len(found & true)
+    return hits / len(found) if found else float(not true), hits / len(true) if true else 1.0

@@ -1,0 +1,330 @@
+"""Summary of a comparison: efficiency, progress, escapes, learning curves, gaps, and agents compared in pairs.
+
+Pure functions from results to numbers, the same every time; words are in `verdict.py`, pages in
+`report.py`. A run is judged by its evaluations in the last fifth of training.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hrl_escape.agents.spec import ORACLE, AgentSpec
+from hrl_escape.benchmark.comparison import Comparison
+from hrl_escape.benchmark.grid import Grid, GridRun
+from hrl_escape.benchmark.inference import (
+    Estimate,
+    Pair,
+    Statistic,
+    compare_agents,
+    compute_interval,
+    compute_wilson_interval,
+)
+from hrl_escape.benchmark.runs import RunResult
+from hrl_escape.benchmark.score_range import ScoreRange
+from hrl_escape.benchmark.statistics import (
+    Floats,
+    Gap,
+    compute_area,
+    compute_iqm,
+    compute_mean,
+    compute_profile,
+    compute_score,
+    split_gap,
+)
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import ComparisonError
+from hrl_escape.sets.places import RunPlace
+
+FinishedRun: TypeAlias = tuple[GridRun, RunResult]
+
+CURVE_METRICS = ("efficiency", "progress", "success", "length", "score")
+CURVE_POINTS = 41
+CURVE_RESAMPLES = 500
+PROFILE = np.round(np.concatenate([np.linspace(-0.05, 0.9, 96), np.linspace(0.901, 1.0, 100)]), 4)
+"""Thresholds of the performance profile: denser towards the best known."""
+UNIT = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A learning curve of several runs, at common numbers of primitives."""
+
+    primitives: Floats  # (points,) trained for
+    decisions: Floats  # (points,) of the median run by then
+    seconds: Floats  # (points,) of training of the median run by then
+    metrics: dict[str, tuple[Floats, Floats, Floats]]
+    """For each of `CURVE_METRICS` its middle, low and high, each (points,)."""
+
+
+@dataclass(frozen=True)
+class AgentSummary:
+    """Results of one agent."""
+
+    spec: AgentSpec  # the agent
+    settings: dict[str, object]  # its settings
+    efficiencies: tuple[Floats, ...]  # final efficiency (runs,) a room; a room without a finished run has none
+    efficiency: Estimate  # interquartile mean of them, the primary score
+    seen: Estimate | None  # the same at the end in rooms that were trained in, where others were tested in; else None
+    trials: tuple[Estimate, ...]
+    """Interquartile mean at the first, second, ... trial in each room tested in; empty without trials."""
+    progress: Estimate
+    """Share of the facts on the way to the goal that hold at best in an episode of the last fifth, rooms weighing the
+    same."""
+    success: Estimate
+    """Share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's interval, a run
+    counting as one try."""
+    first_escape: Estimate
+    """Mean primitives of training to the first escape, up to the budget: runs without one count with the whole budget.
+    All are censored there, so it is the restricted mean of the Kaplan-Meier curve."""
+    escaped_runs: int  # runs in which a training episode escaped
+    length: Estimate  # interquartile mean of primitives in an episode of the last fifth
+    score: Estimate  # interquartile mean of the return score: 0 at the worst, 1 at the best known return
+    area: Estimate  # interquartile mean of the area under the efficiency's curve, over the budget
+    stuck: float  # share of runs without any escape in the last fifth
+    gap: Gap  # distance to an efficiency of 1
+    curve: Curve  # over all rooms
+    room_curves: tuple[Curve | None, ...]  # room by room; None where it has no run
+    profile: Floats  # share of runs above each threshold of `PROFILE`
+    failed: int  # runs that failed
+    decisions: float  # mean of a run
+    planner_calls: float  # mean of a run
+    seconds: float  # mean of a run's training
+    planner_seconds: float  # of these, in planners
+
+    @property
+    def label(self) -> str:
+        """Name in tables and figures."""
+        return self.spec.label
+
+    @property
+    def runs(self) -> int:
+        """Number of finished runs."""
+        return sum(len(room) for room in self.efficiencies)
+
+    @property
+    def stuck_runs(self) -> int:
+        """Number of runs without any escape in the last fifth."""
+        return round(self.stuck * self.runs)
+
+    @property
+    def fewest_runs(self) -> int:
+        """Number of finished runs in the room that has fewest."""
+        return min(len(room) for room in self.efficiencies)
+
+
+@dataclass(frozen=True)
+class RoomSummary:
+    """A room, or rooms to be tested in, and the ends of its scales."""
+
+    place: RunPlace  # the room, or the sets of rooms
+    name: str  # in tables
+    worst: float  # return without escape
+    best: float  # best known return, mean over the evaluation episodes
+    fewest: float  # primitives of the best known escape, mean over the evaluation episodes
+    source: str  # finder of the best: `planner`, `ceiling`, or the label of the agent that beat the planner
+
+    @property
+    def instance(self) -> RoomInstance:
+        """Room; of a set, the first to be tested in."""
+        return self.place.instance
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Results of a comparison."""
+
+    grid: Grid  # its settings
+    rooms: tuple[RoomSummary, ...]  # in the grid's order
+    agents: tuple[AgentSummary, ...]  # in the grid's order; those without any finished run are left out
+    runs: tuple[FinishedRun, ...]  # runs with their results; score ranges raised to what was reached
+    pairs: tuple[tuple[Pair, ...], ...]  # (agents, agents) -> the first compared with the second by their efficiency
+    versions: dict[str, str]  # package -> version, `a, b` where runs differ
+
+    def get_pair(self, first: AgentSummary, second: AgentSummary) -> Pair:
+        """Comparison of one agent with another."""
+        places = {agent.label: number for number, agent in enumerate(self.agents)}
+        return self.pairs[places[first.label]][places[second.label]]
+
+
+def summarise(comparison: Comparison) -> Summary:
+    """Summarise the finished runs; `ComparisonError` where there are none."""
+    if not comparison.runs:
+        reasons = "; ".join(sorted({failure.message for failure in comparison.failures})) or "none was run"
+        raise ComparisonError(f"{comparison.out}: no run has finished, so there is nothing to report: {reasons}")
+    runs = [run for place in comparison.places for run in _raise_ranges(
+        [run for run in comparison.runs if run[0].place_id == place.id], place.instance)]
+    rooms = [_summarise_room(place, runs) for place in comparison.places]
+    agents = [
+        _summarise_agent(comparison, [run for run in runs if run[0].number == number])
+        for number in sorted({run.number for run, _ in runs})
+    ]
+    finals = [{(run.place_id, run.seed): result.get_final("efficiency") for run, result in runs
+               if run.agent.label == agent.label} for agent in agents]
+    pairs = compare_agents(finals, [agent.spec.name != ORACLE for agent in agents], _make_rng())
+    return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), pairs, _join_versions(runs))
+
+
+def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[FinishedRun]:
+    """Raise the best known of each start to the best that a run reached there: return, and fewest primitives.
+
+    In a room with noise, or in a tower with one, nothing is raised, because a lucky episode is no reference.
+    """
+    dynamics, is_expected = instance.dynamics, any(result.score_range.is_expected for _, result in runs)
+    if dynamics.is_random or dynamics.kind == "physics" or is_expected:
+        return list(runs)
+    best: dict[tuple[float, ...], tuple[float, float, str]] = {}
+    for run, result in runs:
+        score_range = result.score_range
+        known = zip(score_range.starts, score_range.best, score_range.fewest, strict=True)
+        for (start, value, fewest), (new_value, new_fewest) in zip(known, _find_reached(result), strict=True):
+            found = best.setdefault(start, (value, fewest, score_range.source))
+            if new_value > found[0] + 1e-9 or new_fewest < found[1]:
+                best[start] = max(found[0], new_value), min(found[1], new_fewest), run.agent.label
+    return [(run, dataclasses.replace(result, score_range=_raise_range(result.score_range, best)))
+            for run, result in runs]
+
+
+def _find_reached(result: RunResult) -> Iterator[tuple[float, int]]:
+    """Best return, and fewest primitives of an escape, in each evaluation episode over the run.
+
+    Minus infinity if it was never played, and the largest int64 if none escaped.
+    """
+    returns, lengths, escaped = (np.array([getattr(evaluation, name) for evaluation in result.evaluations])
+                                 for name in ("returns", "lengths", "successes"))
+    return zip(np.where(lengths, returns, -np.inf).max(axis=0).tolist(),
+               np.where(escaped, lengths, np.iinfo(np.int64).max).min(axis=0).tolist(), strict=True)
+
+
+def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, float, str]]) -> ScoreRange:
+    """Replace the best known; where the old best counted as within reach, the new one does too."""
+    raised, fewest, sources = zip(*(best[start] for start in score_range.starts), strict=True)
+    reachable = tuple(new if reach >= old else reach
+                      for reach, old, new in zip(score_range.reachable, score_range.best, raised, strict=True))
+    fewest_reachable = tuple(
+        new if reach is not None and reach <= old else reach
+        for reach, old, new in zip(score_range.fewest_reachable, score_range.fewest, fewest, strict=True))
+    return dataclasses.replace(score_range, best=raised, reachable=reachable, fewest=fewest,
+                               fewest_reachable=fewest_reachable, source=", ".join(dict.fromkeys(sources)))
+
+
+def _score(result: RunResult, returns: ArrayLike) -> Floats:
+    return compute_score(returns, result.score_range.worst, np.mean(result.score_range.best))
+
+
+def _summarise_room(place: RunPlace, runs: Sequence[FinishedRun]) -> RoomSummary:
+    here = [(run, result) for run, result in runs if run.place_id == place.id]
+    if not here:
+        return RoomSummary(place, place.name, math.nan, math.nan, math.nan, "nothing")
+    ranges = [result.score_range for _, result in here]
+    sources = dict.fromkeys(source for found in ranges for source in found.source.split(", "))
+    best, fewest = (float(np.mean([np.mean(values) for values in ends]))
+                    for ends in ([found.best for found in ranges], [found.fewest for found in ranges]))
+    return RoomSummary(place, here[0][0].room, ranges[0].worst, best, fewest, ", ".join(sources))
+
+
+def _compute_reachable_efficiency(result: RunResult) -> float:
+    """Efficiency of the best known policy over the agent's actions."""
+    ends = result.score_range
+    return float(np.mean([0.0 if reach is None else min(1.0, fewest / reach)
+                          for fewest, reach in zip(ends.fewest, ends.fewest_reachable, strict=True)]))
+
+
+def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> AgentSummary:
+    budget, run = max(result.budget for _, result in runs), runs[0][0]
+    rooms = [[result for run, result in runs if run.place_id == place.id] for place in comparison.places]
+    occupied = [room for room in rooms if room]
+    results = [result for _, result in runs]
+
+    def collect(read: Callable[[RunResult], float | Floats]) -> list[Floats]:
+        return [np.array([read(result) for result in room], dtype=np.float64) for room in occupied]
+
+    def describe(metric: str, statistic: Statistic = compute_iqm, bounds: tuple[float, float] = UNIT) -> Estimate:
+        return _estimate(statistic, collect(lambda result: result.get_final(metric)), bounds)
+
+    efficiencies = collect(lambda result: result.get_final("efficiency"))
+    efficiency = _estimate(compute_iqm, efficiencies)
+    reachable = float(compute_mean(collect(_compute_reachable_efficiency)))
+    success = float(compute_mean(collect(lambda result: result.get_final("success_rate"))))
+    first = collect(lambda result: float(budget if result.first_escape is None else min(result.first_escape, budget)))
+    horizon = max(place.instance.horizon for place in comparison.places)
+    returns = collect(lambda result: _score(result, result.get_final("mean_return")))
+    areas = collect(lambda result: compute_area(result.get_curve("primitives"), result.get_curve("efficiency"), budget))
+    seen = [np.array([result.seen_efficiency for result in room if result.seen_efficiency is not None])
+            for room in occupied]
+    filled = iter(efficiencies)
+    return AgentSummary(
+        spec=run.agent,
+        settings=run.settings,
+        efficiencies=tuple(next(filled) if room else np.zeros(0) for room in rooms),
+        efficiency=efficiency,
+        seen=_estimate(compute_iqm, seen) if all(map(len, seen)) else None,
+        trials=tuple(_estimate(compute_iqm, collect(lambda result, number=number: result.trial_efficiencies[number]))
+                     for number in range(min(len(result.trials) for result in results))),
+        progress=describe("mean_progress", compute_mean),
+        success=Estimate(success, *compute_wilson_interval(success, len(results))),
+        first_escape=_estimate(compute_mean, first, (0.0, float(budget))),
+        escaped_runs=sum(result.first_escape is not None for result in results),
+        length=describe("mean_length", bounds=(1.0, float(horizon))),
+        score=_estimate(compute_iqm, returns, (min(0.0, *map(np.min, returns)), max(1.0, *map(np.max, returns)))),
+        area=_estimate(compute_iqm, areas),
+        stuck=float(np.mean([result.is_stuck for result in results])),
+        gap=split_gap(efficiency.value, reachable),
+        curve=_make_curve(occupied, budget, horizon),
+        room_curves=tuple(_make_curve([room], budget, horizon) if room else None for room in rooms),
+        profile=compute_profile(efficiencies, PROFILE),
+        failed=sum(failure.run.number == run.number for failure in comparison.failures),
+        decisions=float(np.mean([result.decisions for result in results])),
+        planner_calls=float(np.mean([result.planner_calls for result in results])),
+        seconds=float(np.mean([result.seconds[-1] for result in results])),
+        planner_seconds=float(np.mean([result.planner_seconds for result in results])),
+    )
+
+
+def _make_rng() -> np.random.Generator:
+    """Generator with the same draws for every statistic, so that a report is always the same."""
+    return np.random.default_rng(20_190_100)
+
+
+def _estimate(statistic: Statistic, scores: Sequence[Floats], bounds: tuple[float, float] = UNIT) -> Estimate:
+    low, high = compute_interval(statistic, scores, bounds, _make_rng())
+    return Estimate(float(statistic(scores)), float(low), float(high))
+
+
+def _make_curve(rooms: Sequence[Sequence[RunResult]], budget: int, horizon: int) -> Curve:
+    """Middle of the runs' curves at common numbers of primitives, each linear between its evaluations."""
+    grid = np.linspace(0, budget, CURVE_POINTS)
+
+    def stack(read: Callable[[RunResult], Floats]) -> list[Floats]:
+        """(points, runs) a room."""
+        return [np.stack([np.interp(grid, result.get_curve("primitives"), read(result)) for result in room], axis=-1)
+                for room in rooms]
+
+    def compute_median(metric: str) -> Floats:
+        return np.median(np.concatenate(stack(lambda result: result.get_curve(metric)), axis=-1), axis=-1)
+
+    scores = stack(lambda result: _score(result, result.get_curve("mean_return")))
+    ends = (min(0.0, *(float(room.min()) for room in scores)), max(1.0, *(float(room.max()) for room in scores)))
+    curves: dict[str, tuple[Statistic, list[Floats], tuple[float, float]]] = {
+        "efficiency": (compute_iqm, stack(lambda result: result.get_curve("efficiency")), UNIT),
+        "progress": (compute_mean, stack(lambda result: result.get_curve("mean_progress")), UNIT),
+        "success": (compute_mean, stack(lambda result: result.get_curve("success_rate")), UNIT),
+        "length": (compute_iqm, stack(lambda result: result.get_curve("mean_length")), (1.0, float(horizon))),
+        "score": (compute_iqm, scores, ends),
+    }
+    metrics = {}
+    for name, (statistic, values, bounds) in curves.items():
+        low, high = compute_interval(statistic, values, bounds, _make_rng(), CURVE_RESAMPLES)
+        metrics[name] = (statistic(values), low, high)
+    return Curve(grid, compute_median("decisions"), compute_median("seconds"), metrics)
+
+
+def _join_versions(runs: Sequence[FinishedRun]) -> dict[str, str]:
+    names = dict.fromkeys(name for _, result in runs for name in result.versions)
+    return {name: ", ".join(sorted({result.versions.get(name, "unknown") for _, result in runs})) for name in names}

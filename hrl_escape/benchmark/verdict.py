@@ -1,0 +1,342 @@
+"""Verdict of a comparison in plain words: no more than its runs support.
+
+Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
+test says so after correction for all pairs of agents (`inference.py`). With fewer than `LEAST_RUNS` pairs of runs the
+sentences give estimates and intervals, and call nothing better. Labels of agents are between backticks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.benchmark.inference import is_better
+from hrl_escape.benchmark.references import registry as references
+from hrl_escape.benchmark.score_range import CEILING, PLANNER
+from hrl_escape.benchmark.statistics import LEAST_RUNS
+from hrl_escape.benchmark.summary import AgentSummary, Summary
+from hrl_escape.names import join_words
+
+MOST_LABELS = 4
+"""Agents that a headline names."""
+SETTLED = 0.9
+"""From this share of escapes on, it is said how many primitives an escape takes."""
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """Sentence of the verdict."""
+
+    kind: Literal["headline", "finding", "caution"]  # the headline, a finding that supports it, or a caution
+    text: str  # plain words; labels of agents between backticks
+
+
+def write_verdict(summary: Summary) -> list[Sentence]:
+    """Write the verdict: one headline, then findings, then cautions."""
+    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_search(summary),
+                *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
+                *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
+    return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
+            *(Sentence("caution", text) for text in _write_cautions(summary))]
+
+
+def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:
+    """Most efficient agent; the planner that knows the room only where it is alone."""
+    contenders = [agent for agent in agents if agent.spec.name != references.ORACLE] or agents
+    return max(contenders, key=lambda agent: agent.efficiency.value)
+
+
+def _beats(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
+    return is_better(summary.get_pair(first, second))
+
+
+# --- headline --------------------------------------------------------------------------
+
+
+def _write_headline(summary: Summary) -> str:
+    contenders = [agent for agent in summary.agents if agent.spec.name != references.ORACLE]
+    leader = find_leader(summary.agents)
+    if leader.success.value == 0:
+        return f"No agent escapes within {summary.grid.primitives:,} primitives of training."
+    if len(contenders) < 2:
+        return f"`{leader.label}` {_describe_escapes(leader)}."
+    others = sorted((agent for agent in contenders if agent is not leader), key=lambda agent: -agent.efficiency.value)
+    tied = [leader, *(agent for agent in others if _tie(summary, leader, agent))]
+    if any(_has_few(summary, leader, agent) for agent in others):
+        most = (f"`{leader.label}` has the highest efficiency, {leader.efficiency:.2f}" if len(tied) == 1 else
+                f"{_join_labels(tied)} have the highest efficiency, {leader.efficiency:.2f}")
+        return (f"{most}. {count_things(leader.fewest_runs, 'run').capitalize()} a room "
+                f"{'is' if leader.fewest_runs == 1 else 'are'} too few for a verdict, which takes {LEAST_RUNS}.")
+    level = [agent for agent in others if not _beats(summary, leader, agent) and agent not in tied]
+    if not level and len(tied) == 1:
+        learners = any(agent.spec.learns for agent in others)
+        return (f"`{leader.label}` is best: it {_describe_escapes(leader)}." if leader.spec.learns or not learners else
+                f"No learner matches `{leader.label}`, which {_describe_escapes(leader)}.")
+    if len(tied) == 1:
+        return (f"No significant difference between {_join_labels([leader, *level])}; the first "
+                f"{_describe_escapes(leader)}.")
+    tie = f"{_join_labels(tied)} tie at an efficiency of {leader.efficiency.value:.2f}"
+    return f"{tie}, with no significant difference from {_join_labels(level)}." if level else (
+        f"{tie}: `{leader.label}` {_describe_escapes(leader)}.")
+
+
+def _tie(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
+    """Return whether two agents have the same efficiency to two digits, and neither is shown to be better."""
+    return (f"{first.efficiency.value:.2f}" == f"{second.efficiency.value:.2f}" and not _beats(summary, first, second)
+            and not _beats(summary, second, first))
+
+
+def _has_few(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
+    """Return whether two agents share too few runs for a verdict."""
+    return summary.get_pair(first, second).count < LEAST_RUNS
+
+
+def _join_labels(agents: Sequence[AgentSummary]) -> str:
+    """`a`, `b` and `c`; of more than four the first three and how many others."""
+    labels = [f"`{agent.label}`" for agent in agents]
+    if len(labels) > MOST_LABELS:
+        labels = [*labels[:MOST_LABELS - 1], count_things(len(labels) - MOST_LABELS + 1, "other")]
+    return join_words(labels)
+
+
+def _describe_escapes(agent: AgentSummary) -> str:
+    """`escapes every time, in 37 primitives`."""
+    if agent.success.value == 0:
+        return "never escapes"
+    if agent.success.value < SETTLED:
+        return f"escapes in {agent.success.value:.0%} of episodes"
+    often = "every time" if agent.success.value == 1 else f"in {agent.success.value:.1%} of episodes"
+    return f"escapes {often}, in {agent.length.value:.0f} primitives"
+
+
+# --- findings --------------------------------------------------------------------------
+
+
+def _compare_views(summary: Summary) -> list[str]:
+    """With options against without."""
+    policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.low_level)]
+    flat = [agent for agent in policies if not agent.spec.chooses_options]
+    hierarchical = [agent for agent in policies if agent.spec.chooses_options]
+    if not flat or not hierarchical:
+        return []
+    best_flat, best = find_leader(_prefer_learners(flat)), find_leader(_prefer_learners(hierarchical))
+    names = join_words([f"`{agent.label}`" for agent in flat])
+    if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
+        return [f"Without options no agent escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
+                f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_escapes(best)}."]
+    if _beats(summary, best, best_flat):
+        return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {_describe_escapes(best)}, the "
+                f"second {_describe_escapes(best_flat)}."]
+    if _beats(summary, best_flat, best):
+        return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first "
+                f"{_describe_escapes(best_flat)}, the second {_describe_escapes(best)}."]
+    return [f"With options against without: {_describe_even(summary, best, best_flat)}."]
+
+
+def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
+    return [agent for agent in agents if agent.spec.learns] or list(agents)
+
+
+def _compare_with_chance(summary: Summary) -> list[str]:
+    """Learners over options against choosing among the same options at random.
+
+    That learning adds to it is said only of a learner that beats the best search baseline.
+    """
+    sentences = []
+    for chance in summary.agents:
+        if not chance.spec.chooses_options or chance.spec.algorithm != "random":
+            continue
+        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not chance
+                    and _get_choices(agent) == _get_choices(chance) and agent.spec.learns]
+        if not learners:
+            continue
+        best = find_leader(learners)
+        start = (f"Random choice among the options (`{chance.label}`) {_describe_escapes(chance)}"
+                 f"{': that much comes from their planners' if chance.success.value > 0 else ''}.")
+        if _beats(summary, best, chance):
+            both = min(chance.success.value, best.success.value) >= SETTLED
+            gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
+            baselines = _list_search_baselines(summary)
+            adds = "Learning adds to it: " if baselines and _beats(summary, best, find_leader(baselines)) else ""
+            sentences.append(f"{start} {adds}`{best.label}` {gain}.")
+        elif _beats(summary, chance, best):
+            sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_escapes(best)}.")
+        else:
+            sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, chance)}.")
+        worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
+        if worse:
+            names = join_words([f"`{agent.label}`" for agent in worse])
+            sentences.append(f"{names} {'ends' if len(worse) == 1 else 'end'} below choosing at random.")
+    return sentences
+
+
+def _list_search_baselines(summary: Summary) -> list[AgentSummary]:
+    """Search baselines, which are given nothing of what learners must learn."""
+    return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
+
+
+def _compare_with_search(summary: Summary) -> list[str]:
+    """Learners over options or hierarchies against the best search baseline."""
+    learners = [agent for agent in summary.agents
+                if (agent.spec.chooses_options or agent.spec.low_level) and agent.spec.learns]
+    baselines = _list_search_baselines(summary)
+    if not learners or not baselines:
+        return []
+    best, baseline = find_leader(learners), find_leader(baselines)
+    rule = references.describe_rule(baseline.spec.name)
+    name = "search baseline" if len(baselines) == 1 else "best search baseline"
+    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and starts every episode anew")
+    if _beats(summary, best, baseline):
+        return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
+    if _beats(summary, baseline, best):
+        return [f"{start}; no learner matches that."]
+    return [f"{start}. Best learner against it: {_describe_even(summary, best, baseline)}."]
+
+
+def _name_rooms(summary: Summary) -> str:
+    return "other rooms" if summary.grid.train_rooms else "this room" if len(summary.rooms) == 1 else "the same room"
+
+
+def _describe_speed(summary: Summary) -> list[str]:
+    """First escapes in training; runs without one count with the whole budget."""
+    learners = sorted((agent.first_escape.value, agent.label, agent) for agent in summary.agents
+                      if agent.spec.learns and agent.escaped_runs)
+    if not learners:
+        return []
+    when = join_words([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs escape)"
+                  for value, label, agent in learners])
+    return [f"First escape in training, on average, with runs that never escape counted at the budget: {when}."]
+
+
+def _describe_gap(summary: Summary) -> list[str]:
+    leader = find_leader(summary.agents)
+    missing = sum(leader.gap)
+    if missing <= 0.0005:
+        return [f"`{leader.label}` is as efficient as the best known escape: nothing is missing."]
+    way = f"`{leader.label}` has an efficiency of {leader.efficiency.value:.3f}, where the best known escape has 1"
+    if leader.gap.options > 0.0005:
+        return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
+                f"{max(leader.gap.learning, 0):.3f} is left to learn."]
+    if leader.spec.low_level == "planned":
+        return [f"{way}; how much of the rest its planned low level put out of reach was not measured."]
+    return [f"{way}; its actions can reach that."]
+
+
+def _describe_stuck(summary: Summary) -> list[str]:
+    some = [f"{agent.stuck_runs} of {agent.runs} runs of `{agent.label}`"
+            for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
+    return [f"No escape in the last fifth of training: {join_words(some)}."] if some else []
+
+
+def _describe_generalisation(summary: Summary) -> list[str]:
+    """Rooms that were tested in against rooms that were trained in."""
+    learners = [(agent, agent.seen) for agent in summary.agents if agent.spec.learns and agent.seen is not None]
+    if not learners:
+        return []
+    words = [f"`{agent.label}` {agent.efficiency.value:.2f} against {seen.value:.2f}" for agent, seen in learners]
+    return [f"Efficiency in test rooms against training rooms: {join_words(words)}."]
+
+
+def _describe_trials(summary: Summary) -> list[str]:
+    """Efficiency trial by trial in the same rooms."""
+    tried = [agent for agent in summary.agents if agent.trials]
+    if not tried:
+        return []
+    words = [f"`{agent.label}` {', '.join(f'{trial.value:.2f}' for trial in agent.trials)}" for agent in tried]
+    sentences = [f"Efficiency trial by trial in the same unseen rooms, without learning: {'; '.join(words)}."]
+    forgetful = [f"`{agent.label}`" for agent in tried if not agent.spec.remembers]
+    if forgetful:
+        sentences.append(f"No memory, so the same policy at every trial: {join_words(forgetful)}.")
+    return sentences
+
+
+def _describe_better_ways(summary: Summary) -> list[str]:
+    sentences, labels = [], {agent.label for agent in summary.agents if agent.spec.name != references.ORACLE}
+    for room in summary.rooms:
+        finders = [f"`{source}`" for source in room.source.split(", ") if source in labels]
+        if finders:
+            sentences.append(f"In {room.name}, {join_words(finders)} found a better way than the planners; efficiency "
+                             f"is measured by it ({room.fewest:g} primitives).")
+    return sentences
+
+
+# --- cautions --------------------------------------------------------------------------
+
+
+def _write_cautions(summary: Summary) -> list[str]:
+    grid, cautions = summary.grid, []
+    expected = len(summary.rooms) * grid.runs
+    short = [agent for agent in summary.agents if agent.runs < expected]
+    if short or len(summary.agents) < len(grid.agents):
+        lost = [f"`{agent.label}` {expected - agent.runs} of {expected}" for agent in short]
+        known = {agent.label for agent in summary.agents}
+        lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
+        cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
+    if grid.runs < LEAST_RUNS:
+        cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: with `--runs {LEAST_RUNS}` the same "
+                        "command goes on from these, to a verdict.")
+    cautions += tell_privileges(agent.spec for agent in summary.agents)
+    learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
+    chance = [_get_choices(agent) for agent in summary.agents
+              if agent.spec.chooses_options and agent.spec.algorithm == "random"]
+    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
+    if unmatched:
+        cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
+                        "the score that the options' planners bring is unknown.")
+    if learners and not any(agent.spec.name in references.BY_LIGHTS for agent in summary.agents):
+        cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
+                        "without learning is unknown.")
+    for room in summary.rooms:
+        if room.place.split is not None and (known := room.place.split.room_overlap):
+            cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "
+                            "is not efficiency in unseen rooms.")
+        if CEILING in room.source.split(", "):
+            cautions.append(f"No plan is known for {room.name}: its scores are measured by an escape at once, which no "
+                            "agent can do, so efficiency there is near 0.")
+        elif PLANNER not in room.source.split(", ") and room.source == "nothing":
+            cautions.append(f"No run in {room.name} has a result.")
+    mixed = [name for name, version in summary.versions.items() if ", " in version]
+    if mixed:
+        cautions.append(f"The runs were made with different versions of {join_words(mixed)}.")
+    return cautions
+
+
+def _get_choices(agent: AgentSummary) -> OptionsView:
+    """Options that an agent chooses among, whatever it remembers."""
+    return dataclasses.replace(agent.spec.options, memory=False)
+
+
+# --- words -----------------------------------------------------------------------------
+
+
+def _describe_even(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
+    """Efficiencies of two agents of which neither is shown to be better."""
+    values = (f"`{first.label}` has an efficiency of {first.efficiency:.2f}, `{second.label}` of "
+              f"{second.efficiency:.2f}")
+    return values if _has_few(summary, first, second) else f"no significant difference; {values}"
+
+
+def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
+    pair = summary.get_pair(first, second)
+    return (f"`{first.label}` is more efficient than `{second.label}` by {pair.difference:.2f} with the same room and "
+            f"seed, in {pair.improvement.value:.0%} of {pair.count} pairs")
+
+
+def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:
+    """Sentence on what their hierarchies tell agents; none where no agent has one."""
+    told = [f"`{agent.label}` ({', '.join(agent.privileges)})" for agent in agents if agent.privileges]
+    return [f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}."] if told else []
+
+
+def count_things(number: int, noun: str) -> str:
+    """Number and noun as in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
+    return f"{spell_number(number)} {noun}" + ("" if number == 1 else "s")
+
+
+def spell_number(number: int) -> str:
+    """Number as in a sentence: `no`, `one`, `two`, `10`."""
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    return words[number] if number < len(words) else f"{number:,}"
