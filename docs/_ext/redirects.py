@@ -12,7 +12,8 @@ MOVED = {
     "api/comparison": "api/benchmark",
     **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
                     "results/do-options-help"),
-    "results/why-it-worsens": "results/paper",
+    "results/why-it-worsens": "results/paper", "results/gallery": "puzzles", "results/tools": "tools",
+    "results/velocities": "observations",
     **dict.fromkeys(("results/canon", "results/hierarchies", "results/learned", "results/intra-option"),
                     "results/all-algorithms"),
 }
