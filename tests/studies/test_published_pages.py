@@ -27,9 +27,7 @@ def parts() -> SimpleNamespace:
     return SimpleNamespace(parts=copy.deepcopy(load_findings("parts").numbers))
 
 
-@pytest.mark.nightly_for(
-    "ladder", "canon", "scaling", "paper", "learned", "hierarchies", "buttons", "intra-option", "profiles",
-    "price", "budgets", "factorial")
+@pytest.mark.nightly_for("ladder", "profiles", "budgets")
 @pytest.mark.parametrize("name", [name for name, study in list_studies().items()
                                   if (study.folder / "page.md.j2").is_file()])
 def test_a_published_page_is_what_its_results_give(name: str):
