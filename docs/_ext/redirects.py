@@ -14,6 +14,7 @@ MOVED = {
                     "results/do-options-help"),
     **dict.fromkeys(("results/canon", "results/hierarchies", "results/learned", "results/intra-option"),
                     "results/all-algorithms"),
+    "results/why-it-worsens": "results/paper",
 }
 """Former name of each page that has another name now."""
 
