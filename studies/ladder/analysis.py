@@ -102,7 +102,7 @@ def compare_with_search(cells: Cells, rungs: Sequence[str]) -> dict[str, Beyond]
 
     A learner is one test, with rungs as strata and rooms as pairs, and all learners are one family (Holm).
     """
-    best, gains = find_best_searchers(cells, rungs), {}
+    best, gains = find_best_baselines(cells, rungs), {}
     for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
         if own := [gain for rung in rungs if (other := best[rung]) is not None
                    and len(gain := subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]:
@@ -128,11 +128,11 @@ def find_blank(cells: Cells, rungs: Sequence[str]) -> dict[str, list[str]]:
     return found
 
 
-def find_best_searchers(cells: Cells, rungs: Sequence[str]) -> dict[str, str | None]:
+def find_best_baselines(cells: Cells, rungs: Sequence[str]) -> dict[str, str | None]:
     """The most efficient search baseline of each rung, of equal ones the first by name; None without."""
     agents = _sort_agents(agent for _, agent in cells)
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
-    return {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
+    baselines = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
+    return {rung: max((agent for agent in baselines if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
                       key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
             for rung in rungs}
 
@@ -146,7 +146,7 @@ def subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDAr
 def draw_rungs(cells: Cells, rungs: Sequence[str], learners: Sequence[str], theme: Theme) -> Figure:
     """Efficiency of learners and of the best search baseline by rung."""
     shown = [rung for rung in rungs if any(place == rung for place, _ in cells)]
-    best = {rung: agent for rung, agent in find_best_searchers(cells, shown).items() if agent}
+    best = {rung: agent for rung, agent in find_best_baselines(cells, shown).items() if agent}
     return draw_rows(shown, [
         *((AgentSpec.parse(agent).title, {rung: compute_run_efficiency(cells[rung, agent]) for rung in shown
                                           if (rung, agent) in cells}) for agent in learners),

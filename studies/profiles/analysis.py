@@ -51,7 +51,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     known = {axis.name: axis.rungs for axis in bench.manifest.axes}
     if unknown := [name for name in args.axes if name not in known]:
         raise UnknownNameError(f"axis of {bench.name}", unknown[0], known)
-    groups = [(tuple(known), (*data["searchers"], *data["agents"])),
+    groups = [(tuple(known), (*data["search"], *data["agents"])),
               *((other["axes"], tuple(other["agents"])) for other in data["others"])]
     everyone = [agent for _, agents in groups for agent in agents]
     if unknown := [name for name in args.agents if name not in everyone]:
@@ -90,21 +90,21 @@ class Gain(NamedTuple):
         return self.p < ALPHA and self.value > 0
 
 
-def compare_everyone(cells: Cells, axes: Sequence[AxisRecord], learners: Sequence[str], searcher: str
+def compare_everyone(cells: Cells, axes: Sequence[AxisRecord], learners: Sequence[str], search: str
                      ) -> dict[tuple[str, str, str], Gain]:
-    """Gains of each learner over the other learners and over the searcher, axis by axis: one family of tests.
+    """Gains of each learner over the others and over the best search baseline, axis by axis: one family of tests.
 
     Args:
         cells: efficiencies.
         axes: those to compare on.
         learners: names.
-        searcher: name under which `cells` has the best search baseline of each rung.
+        search: name under which `cells` has the best search baseline of each rung.
 
     Returns:
         (axis, first agent, second agent) -> gain, both ways round between learners.
     """
     couples = [(axis, *pair) for axis in axes for pair in (*itertools.combinations(learners, 2),
-                                                            *((learner, searcher) for learner in learners))]
+                                                            *((learner, search) for learner in learners))]
     tests = [compare_pairs([cells[first, rung] - cells[second, rung] for rung in axis.rungs])
              for axis, first, second in couples]
     found = {}
@@ -161,11 +161,11 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
         ComparisonError: no axis has all agents in enough rooms on each rung.
     """
     data, bench = study.data, load_benchmark(study.data["benchmark"])
-    learners, searchers = list(data["agents"]), data["searchers"]
+    learners, baselines = list(data["agents"]), data["search"]
     cells = collect_cells(lines)
 
     def list_agents(axis: str) -> list[str]:
-        return [*learners, *searchers, *(agent for other in data["others"] if axis in other["axes"]
+        return [*learners, *baselines, *(agent for other in data["others"] if axis in other["axes"]
                                          for agent in other["agents"])]
 
     axes = [axis for axis in bench.manifest.axes if all(len(cells.get((agent, rung), ())) >= LEAST_RUNS
@@ -175,7 +175,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
     others = [(list(other["agents"]), own) for other in data["others"]
               if (own := [axis for axis in axes if axis.name in other["axes"]])]
     rungs = [rung for axis in axes for rung in axis.rungs]
-    cells |= {(SEARCH, rung): max((cells[agent, rung] for agent in searchers), key=np.mean) for rung in rungs}
+    cells |= {(SEARCH, rung): max((cells[agent, rung] for agent in baselines), key=np.mean) for rung in rungs}
     gains, order = compare_everyone(cells, axes, learners, SEARCH), [axis.name for axis in axes]
     everyone = [*learners, *(agent for agents, _ in others for agent in agents)]
     means = {agent: {axis.name: float(np.mean([cells[agent, rung].mean() for rung in axis.rungs]))
@@ -200,7 +200,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
                 f"{profiles[name].get(axis.name, '-')}{marks.get((name, axis.name), '')}" for name in shown)]
                 for axis in rows]) for shown, rows in columns),
             "profiles_labels": make_table(["agent", "label"], [[name_agent(agent), f"`{agent}`"]
-                                                               for agent in [*everyone, *searchers]])},
+                                                               for agent in [*everyone, *baselines]])},
         {"profiles": lambda theme: draw_rows(
             order, [(name_agent(agent), means[agent]) for agent in [*learners, SEARCH]],
             "mean efficiency over the rungs of an axis", theme, is_joined=False)})

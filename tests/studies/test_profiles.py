@@ -26,7 +26,7 @@ TABLE, MODEL, NETWORK, POLICY = LEARNERS = tuple(STUDY.data["agents"])
 OTHERS = {axis: tuple(other["agents"]) for other in STUDY.data["others"] for axis in other["axes"]}
 MOVERS, BOTH = OTHERS["motion"], OTHERS["branching"]
 MOTION = next(axis for axis in AXES if axis.name == "motion")
-SEARCH_BASELINES = STUDY.data["searchers"]
+SEARCH_BASELINES = STUDY.data["search"]
 
 
 def make_lines(changes: dict[tuple[str, str], tuple[float, ...]], searcher: float = 0.5, axes: Sequence[AxisRecord] =
