@@ -12,12 +12,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.benchmark.inference import ALPHA
 from studies.baseline import BaselineRun
 from studies.controls import compare_controls, group, list_questions
 from studies.factorial.design import get_factors, make_label, make_screening_design
 from studies.factorial.effects import Screening, compute_effects, measure_change, repeat_effects
 from studies.generalisation.analysis import compare_cells
-from studies.ladder.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
+from studies.ladder.calibration import CHANCE, IN_ORDER, ROUND, Cells, compare_orders, compare_steps
 from studies.learned.dial import PLANNED, DialLine, find_best_option
 from studies.paper.analysis import list_claims
 from studies.paper.claims import judge_claims
@@ -103,24 +104,22 @@ def is_wrong_of_controls(name: str, draw: Draw, rng: np.random.Generator) -> boo
                for contrasts in compare_controls(list_questions(study), cells, rooms) for contrast in contrasts)
 
 
-def tell_rungs(draw: Draw, rng: np.random.Generator) -> str:
-    """Sentences of the ladder's page on eight rungs that are alike; 10 rooms a rung with 2 seeds, alike in a room."""
-    cells = {(rung, agent): [BaselineRun("per-instance", rung, f"{rung}[{room}]", agent, seed, 0, float(value), None,
-                                         float(value > 0.5), 1, float(value), None, "")
-                             for room, value in enumerate(draw(rng, RUNS)) for seed in range(2)]
-             for rung in RUNGS for agent in (CHANCE, IN_ORDER, ROUND)}
-    return " ".join(tell_calibration(cells, RUNGS, ()))
+def make_rungs(draw: Draw, rng: np.random.Generator) -> Cells:
+    """Eight rungs that are alike, 10 rooms a rung with 2 seeds, which are equal in a room."""
+    return {(rung, agent): [BaselineRun("per-instance", rung, f"{rung}[{room}]", agent, seed, 0, float(value), None,
+                                        float(value > 0.5), 1, float(value), None, "")
+                            for room, value in enumerate(draw(rng, RUNS)) for seed in range(2)]
+            for rung in RUNGS for agent in (CHANCE, IN_ORDER, ROUND)}
 
 
 def is_wrong_of_rungs(draw: Draw, rng: np.random.Generator) -> bool:
-    """The ladder's page orders rungs by what chance reaches, which is the same on all."""
-    told = tell_rungs(draw, rng)
-    return "not in the order" in told or "it falls" in told
+    """Two neighbouring rungs of the ladder differ in what random options reach, which is the same on all."""
+    return any(step.p < ALPHA for step in compare_steps(make_rungs(draw, rng), RUNGS))
 
 
 def is_wrong_of_numbers(draw: Draw, rng: np.random.Generator) -> bool:
-    """The ladder's page says that the numbers of buttons tell something, where any order is as good."""
-    return "numbers tell something" in tell_rungs(draw, rng)
+    """The order of the buttons' numbers is better than a random order on a rung, where any order is as good."""
+    return any(p < ALPHA and gain > 0 for gain, p in compare_orders(make_rungs(draw, rng), RUNGS).values())
 
 
 def is_wrong_of_generalisation(draw: Draw, rng: np.random.Generator) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import matplotlib
@@ -12,7 +12,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from hrl_escape.env.pictures import palette
 
-__all__ = ["FIGURE_STYLE", "THEMES", "Drawing", "Theme", "finish_axes", "make_figure", "write_label"]
+__all__ = ["FIGURE_STYLE", "THEMES", "Drawing", "Theme", "draw_rows", "finish_axes", "make_figure", "write_key",
+           "write_label"]
 
 FIGURE_STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
 WIDTH = 5.6
@@ -72,6 +73,38 @@ def make_figure(theme: Theme, draw: Callable[[Any], None], height: float = 3.7, 
 def write_label(axes: Axes, x: float, y: float, text: str, colour: str, **how: Any) -> None:
     """Write the label of a line beside it, in its colour."""
     axes.text(x, y, text, color=colour, fontweight="bold", va="center", **how)
+
+
+def write_key(axes: Axes, words: Sequence[tuple[str, str]]) -> None:
+    """Write names in their colours above the axes, one a line."""
+    for number, (text, colour) in enumerate(reversed(words)):
+        axes.annotate(text, (0, 1), (0, 6 + 15 * number), xycoords="axes fraction", textcoords="offset points",
+                      color=colour, fontweight="bold")
+
+
+def draw_rows(rows: Sequence[str], lines: Sequence[tuple[str, Mapping[str, float]]], label: str, theme: Theme,
+              is_joined: bool = True) -> Figure:
+    """Draw values of agents by row, an agent a colour of its own, the last one grey.
+
+    Args:
+        rows: names, from the top.
+        lines: name of an agent, and its value in each row that it has; five at most.
+        label: of the x-axis, which runs from 0 to 1.
+        theme: colours.
+        is_joined: lines join the values of an agent, because the rows have an order.
+    """
+    colours = [*theme.lines[: len(lines) - 1], theme.lines[-1]]
+
+    def paint(axes: Axes) -> None:
+        for number, ((_, values), colour) in enumerate(zip(lines, colours, strict=True)):
+            known = [(value, place) for place, row in enumerate(rows) if (value := values.get(row)) is not None]
+            style = ("" if not is_joined else ":" if number == len(lines) - 1 else "-") + "o"
+            axes.plot(*zip(*known, strict=True), style, markersize=4 if is_joined else 6, linewidth=1.6, color=colour)
+        write_key(axes, [(name, colour) for (name, _), colour in zip(lines, colours, strict=True)])
+        axes.set_yticks(range(len(rows)), rows)
+        axes.set(xlabel=label, xlim=(-0.03, 1.03), ylim=(len(rows) - 0.4, -0.6))
+
+    return make_figure(theme, paint, height=1.9 + 0.23 * len(rows), grid="x")
 
 
 def finish_axes(axes: Axes) -> None:

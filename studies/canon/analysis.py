@@ -76,7 +76,7 @@ class CanonRun:
         progress: mean share of the facts on the way to the goal that hold.
         first_escape: primitives to the first escape in training; None if there was none.
         efficient_at: primitives at the first of two evaluations in a row that are efficient; None without such a pair.
-        seconds: of training, beside another run.
+        seconds: of training, with another run on the machine.
         key: hash of everything that decides the run's numbers.
     """
 
@@ -116,7 +116,7 @@ class Family(NamedTuple):
         what: plural noun.
         trials: validation rooms.
         learners: label -> the settings that are tried.
-        given: what it is told of the room's puzzle and the searchers have to find; empty for nothing.
+        given: what it is given of the room's puzzle and search baselines have to find; empty for nothing.
     """
 
     name: str
@@ -142,7 +142,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         UnknownNameError: no such kind or agent.
     """
     data, until = study.data, time.monotonic() + 60 * args.minutes
-    references = [*data["chance"], *data["searchers"], *data["told"]]
+    references = [*data["chance"], *data["search"], *data["privileged"]]
     known = [*references, *(label for family in list_families(study) for label in family.learners)]
     for what, chosen, every in (("agent", args.agents, known), ("kind", args.kinds, list(data["kinds"]))):
         if unknown := [name for name in chosen if name not in every]:
@@ -352,7 +352,7 @@ class Standing:
     @cached_property
     def references(self) -> list[str]:
         """Agents that learn nothing."""
-        return [*self.study.data["chance"], *self.study.data["searchers"], *self.study.data["told"]]
+        return [*self.study.data["chance"], *self.study.data["search"], *self.study.data["privileged"]]
 
     @cached_property
     def learners(self) -> list[str]:
@@ -371,11 +371,11 @@ class Standing:
 
     @cached_property
     def best(self) -> dict[str, str]:
-        """The searcher that is most efficient in each kind."""
-        return find_best(self.study.data["searchers"], self.cells, self.kinds)
+        """The most efficient search baseline of each kind."""
+        return find_best(self.study.data["search"], self.cells, self.kinds)
 
     @cached_property
-    def searcher(self) -> float:
+    def search(self) -> float:
         """Its mean efficiency over the kinds."""
         return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
 
@@ -398,17 +398,17 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
     if not kinds:
         raise ComparisonError(f"rooms of {next(iter(words))} lack runs: {LEAST_RUNS} of every agent are needed")
     given = {label for family in found.families if family.given for label in family.learners}
-    against, told = (compare([
+    against, given_graph = (compare([
         (label, "search", {kind: each for kind, each in found.best.items() if fits(study, label, kind)})
         for label in found.followed if (label in given) == is_given], cells) for is_given in (False, True))
     controls = compare([(label, control, dict.fromkeys(kinds, control)) for label, control in data["controls"].items()
                         if label not in given], cells)
-    beyond = {each.agent: each.found for each in [*against, *told]}
+    beyond = {each.agent: each.found for each in [*against, *given_graph]}
     moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
     numbers = SimpleNamespace(
         budget=data["primitives"], kinds=[words[kind] for kind in kinds], rooms=max(found.rooms.values()),
-        learners=len(found.learners), episodes=REFERENCE_EPISODES, search=found.searcher,
-        beyond={each.agent: each.found for each in against}, given={each.agent: each.found for each in told},
+        learners=len(found.learners), episodes=REFERENCE_EPISODES, search=found.search,
+        beyond={each.agent: each.found for each in against}, given={each.agent: each.found for each in given_graph},
         controls={each.agent: each.found for each in controls},
         means={label: {kind: average(cells[kind, label]) for kind in kinds if cells.get((kind, label))}
                for label in [*found.references, *found.learners]},
@@ -513,8 +513,8 @@ def draw_means(found: Standing, families: Sequence[str], theme: Theme) -> Figure
             means = [average(found.cells[kind, label]) for kind in found.kinds]
             axes.plot(means, [row] * len(means), "o", color=theme.lines[1], markersize=4, alpha=0.5, markeredgewidth=0)
             axes.plot(found.average(label), row, "D", color=theme.ink, markersize=5)
-        axes.axvline(found.searcher, color=theme.lines[2], linestyle="--")
-        write_label(axes, found.searcher + 0.01, -1.2, "search baseline", theme.lines[2], fontsize=9)
+        axes.axvline(found.search, color=theme.lines[2], linestyle="--")
+        write_label(axes, found.search + 0.01, -1.2, "search baseline", theme.lines[2], fontsize=9)
         axes.set_yticks(range(len(shown)), list(map(shorten, shown)))
         axes.set(xlabel="efficiency after training", xlim=(-0.03, 1.03), ylim=(-1.8, len(shown) - 0.4))
 

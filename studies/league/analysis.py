@@ -68,7 +68,7 @@ class Args(FlatArgs):
 
 @dataclasses.dataclass(frozen=True)
 class SearcherRun:
-    """First escape of the searcher that learns nothing.
+    """First escape of the search baseline.
 
     Attributes:
         searcher: name.
@@ -408,15 +408,15 @@ def find_fewest(cells: Cells, size: int) -> dict[int, float]:
 
 
 def _describe(runs: Sequence[Attempt], level: float, budget: int) -> str:
-    told = [run for run in runs if level in run.waits]
-    if not told:
-        return "not run" if not runs else "not told"
-    if not is_followed(told, level, budget):
-        most = max(spent for spent, arrived in (run.waits[level] for run in told) if not arrived) if any(
-            not run.waits[level][1] for run in told) else 0
-        return f"{count_arrived(told, level)} of {len(told)}" + (f" within {most:,.0f}" if most else "")
-    share = f"{count_arrived(told, level)} of {len(told)}"
-    return f"{share}; {_describe_times(list_times(told, level))}" if count_arrived(told, level) else share
+    known = [run for run in runs if level in run.waits]
+    if not known:
+        return "not run" if not runs else "not recorded"
+    if not is_followed(known, level, budget):
+        most = max(spent for spent, arrived in (run.waits[level] for run in known) if not arrived) if any(
+            not run.waits[level][1] for run in known) else 0
+        return f"{count_arrived(known, level)} of {len(known)}" + (f" within {most:,.0f}" if most else "")
+    share = f"{count_arrived(known, level)} of {len(known)}"
+    return f"{share}; {_describe_times(list_times(known, level))}" if count_arrived(known, level) else share
 
 
 def _describe_times(times: Sequence[float]) -> str:

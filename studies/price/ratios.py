@@ -3,7 +3,7 @@
 A run that did not get there within its budget cost more than it had spent. So the ratio of a flat run's cost to that of
 a run over options lies between two ends, which are one where both got there. Of these ratios the geometric mean is
 taken; its interval and its test are those of flipped signs, so that one leaves out 1 just where the other says so.
-Rooms in which the untrained options are efficient already say nothing of learning: they are told apart.
+Rooms in which the untrained options are already efficient are left out, because nothing is learned there.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class CostRatio(NamedTuple):
         buttons: of the rooms.
         logs: logarithm of the ratio, by replicate.
         middle: over replicates.
-        ready: replicates told apart, as the untrained options are efficient there.
+        ready: replicates left out, because the untrained options are efficient there.
         is_short: the flat runs had a smaller budget here than in other sizes, so that nothing is concluded.
     """
 
@@ -127,7 +127,7 @@ class CostRatio(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """Growth of the factor with each button, from the fewest to the most buttons of which it can be told.
+    """Growth of the factor with each button, from the fewest to the most buttons with a known factor.
 
     Attributes:
         smallest: buttons at the one end.

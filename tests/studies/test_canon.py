@@ -22,8 +22,8 @@ from studies.study import find_study
 STUDY = find_study("canon")
 FAMILIES = list_families(STUDY)
 LEARNERS = {label: family for family in FAMILIES for label in family.learners}
-SEARCH_BASELINES = STUDY.data["searchers"]
-REFERENCES = [*STUDY.data["chance"], *SEARCH_BASELINES, *STUDY.data["told"]]
+SEARCH_BASELINES = STUDY.data["search"]
+REFERENCES = [*STUDY.data["chance"], *SEARCH_BASELINES, *STUDY.data["privileged"]]
 PAIR, FIVE = list(STUDY.data["kinds"])[:2]
 TABLE, MODEL = "smdp-q-learning", "smdp-factored-r-max"
 CRITIC, DAC, PPO = "smdp-option-critic", "smdp-dac", "smdp-ppo"
@@ -57,7 +57,7 @@ def make_lines(efficiency: Callable[[str, str], float], kinds: tuple[str, ...] =
 
 
 def usual(agent: str, kind: str) -> float:
-    """Single moves never escape, presses come to 0.4, searchers to 0.7, hierarchies that are given to 0.9."""
+    """Single moves never escape, presses come to 0.4, search baselines to 0.7, hierarchies that are given to 0.9."""
     if agent in MOVES:
         return 0.0
     return 0.7 if agent in SEARCH_BASELINES else 0.9 if "planned" in agent or agent == "oracle" else 0.4

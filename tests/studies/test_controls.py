@@ -17,7 +17,6 @@ from studies.baseline import BaselineRun
 from studies.controls import (
     analyse,
     compare_controls,
-    find_forced,
     find_repeated_rooms,
     group,
     list_questions,
@@ -131,16 +130,6 @@ def test_rooms_in_which_all_runs_agree_count_once():
     other = [dataclasses.replace(line, first_escape=7) if (line.rooms, line.seed) == ("far", 0) else line
              for line in lines]
     assert not find_repeated_rooms(group(other), ROOMS) and analyse(GIVEN_HIERARCHIES, other).numbers.rooms == 2
-
-
-def test_a_learner_that_runs_alike_with_every_seed_had_no_choice():
-    lines = make_lines({"maxq-q+planned": 0.9})
-    same = [dataclasses.replace(line, efficiency=0.9, first_escape=112) if line.agent == "maxq-q+planned" else line
-            for line in lines]
-    assert find_forced(group(same), "near", "maxq-q+planned")
-    assert not find_forced(group(lines), "near", "maxq-q+planned")
-    assert not find_forced(group(lines), "near", "q-learning"), "it never escapes"
-    assert read(same).forced == {"maxq-q+planned": ["far", "near"]} and not read(lines).forced
 
 
 def test_intervals_and_verdicts_agree():
