@@ -16,8 +16,8 @@ from rich.console import Console
 
 from hrl_escape.cli import run_in_order
 from studies.publishing import list_pages, load_page, publish
-from studies.running import PAGES, get_args, run_study
-from studies.study import Page, find_study, list_studies
+from studies.running import get_args, run_study
+from studies.study import find_study, list_studies
 
 __all__ = ["main"]
 
@@ -28,7 +28,7 @@ class PageArgs:
 
     pages: tyro.conf.Positional[tuple[str, ...]] = ()
     """Names of the pages; all by default."""
-    docs: Path = PAGES
+    docs: Path = Path("docs/results")
     """Folder that takes pages and figures."""
 
 
@@ -53,11 +53,6 @@ def _run(arguments: list[str]) -> int:
                     description=study.data["about"], config=(tyro.conf.FlagCreatePairsOff,))
     console = Console(highlight=False, soft_wrap=True)
     found = run_study(study, args)
-    if isinstance(found, Page):
-        for conclusion in found.conclusions:
-            console.print(conclusion, markup=False)
-        console.print(f"Page: {(args.docs or PAGES) / study.page}.md", markup=False)
-        return 0
     for name, table in found.tables.items():
         console.print(f"\n{name}\n{table}", markup=False)
     if pages := [name for name in list_pages() if study.name in load_page(name).studies]:

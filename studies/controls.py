@@ -21,9 +21,9 @@ from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
 from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
-from studies.page import make_table
 from studies.statistics import compare_strata
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["Contrast", "Question", "analyse", "chooses_presses", "compare_controls", "compare_with_search",
            "find_repeated_rooms", "group", "list_questions"]

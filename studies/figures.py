@@ -8,11 +8,8 @@ from typing import Any, NamedTuple, TypeAlias
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from hrl_escape.env.pictures import palette
-
-__all__ = ["FIGURE_STYLE", "THEMES", "Drawing", "Theme", "draw_rows", "finish_axes", "make_figure", "write_key",
+__all__ = ["FIGURE_STYLE", "THEMES", "Drawing", "Theme", "draw_rows", "make_figure", "write_key",
            "write_label"]
 
 FIGURE_STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
@@ -105,14 +102,3 @@ def draw_rows(rows: Sequence[str], lines: Sequence[tuple[str, Mapping[str, float
         axes.set(xlabel=label, xlim=(-0.03, 1.03), ylim=(len(rows) - 0.4, -0.6))
 
     return make_figure(theme, paint, height=1.9 + 0.23 * len(rows), grid="x")
-
-
-def finish_axes(axes: Axes) -> None:
-    """Thousands on the x-axis, a light grid, no box."""
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=[1, 2, 5, 10]))
-    axes.grid(axis="y", color="#e5dfd2", linewidth=0.8)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    axes.tick_params(colors=palette.MUTED, labelcolor=palette.INK)

@@ -25,9 +25,9 @@ from hrl_escape.figures import save_figure
 from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns, join_words
 from studies.figures import THEMES
-from studies.page import format_interval, format_short, format_span
 from studies.running import open_store
 from studies.study import ROOT, Findings, find_study
+from studies.tables import format_interval, format_short, format_span
 from studies.titles import find_title
 
 __all__ = ["ResultPage", "Rules", "UnsupportedClaimError", "check_form", "list_pages", "load_findings", "load_page",

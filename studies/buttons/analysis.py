@@ -28,13 +28,13 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.figures import Theme, make_figure, write_label
-from studies.page import make_table
 from studies.running import StudyArgs
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
 from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "EscapeRun", "FirstEscape", "Size", "analyse", "compare_first_escapes",
            "find_first_escape", "find_reach", "measure", "run_once"]

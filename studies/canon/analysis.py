@@ -27,11 +27,11 @@ from hrl_escape.names import count_nouns
 from hrl_escape.sets.room_spec import RoomSpec
 from studies.controls import chooses_presses
 from studies.figures import Theme, make_figure, write_label
-from studies.page import make_table
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
 from studies.statistics import Difference, compare_strata, find_lasting
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "analyse", "choose_candidate", "compare",
            "list_families", "measure"]

@@ -24,11 +24,11 @@ from studies.factorial.effects import (
     repeat_effects,
 )
 from studies.figures import Theme, make_figure
-from studies.page import make_table
 from studies.raw import BINS, RawRun, collect_runs
 from studies.running import GridArgs, refuse_failures
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "analyse", "measure"]
 

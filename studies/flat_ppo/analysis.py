@@ -32,10 +32,10 @@ from studies.flat import (
     list_learners,
     measure_flat_runs,
 )
-from studies.page import make_table
 from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 from studies.titles import find_title
 
 __all__ = ["LINES", "Args", "analyse", "compare", "find_untrained", "measure", "read_corners", "read_escape",

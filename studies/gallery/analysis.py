@@ -21,10 +21,10 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
-from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "PlayedRun", "SolvedRoom", "analyse", "count_fewest", "measure"]
 

@@ -36,11 +36,11 @@ from studies.generalisation.grids import (
 )
 from studies.generalisation.many import measure_courses, measure_many, name_rooms, run_reference
 from studies.ladder.calibration import CHANCE
-from studies.page import format_interval, make_table
 from studies.running import refuse_failures
 from studies.statistics import Difference, compare_strata
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 
 __all__ = ["Args", "analyse", "compare_cells", "measure", "prefer_at_once"]
 

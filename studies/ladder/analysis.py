@@ -30,10 +30,10 @@ from studies.ladder.baselines import (
     run_baselines,
 )
 from studies.ladder.calibration import KNOWN, Cells, average_rooms, compare_orders, compare_steps
-from studies.page import make_table
 from studies.statistics import Difference, compare_strata
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["Args", "Beyond", "analyse", "compare_with_search", "describe", "draw_rungs", "find_blank", "group_runs",
            "measure", "subtract", "tabulate"]

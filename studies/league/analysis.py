@@ -34,7 +34,6 @@ from studies.flat import (
     list_learners,
     measure_flat_runs,
 )
-from studies.page import make_table
 from studies.price.contestants import CONTESTANTS, sample_replicate_room
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
 from studies.price.runs import PriceRun
@@ -42,6 +41,7 @@ from studies.running import open_store
 from studies.statistics import compute_median_interval
 from studies.store import Store
 from studies.study import Findings, Study, find_study
+from studies.tables import make_table
 from studies.titles import find_title
 
 __all__ = ["LINES", "Args", "Attempt", "SearcherRun", "analyse", "choose_candidate", "choose_course", "compare",

@@ -29,8 +29,8 @@ from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.learned import make_learned_options
 from hrl_escape.options.options_env import OptionsEnv
 from studies.learned.option_dial import DialPlace, measure_option, place_on_dial
-from studies.page import make_table
 from studies.store import Store
+from studies.tables import make_table
 
 __all__ = ["DialLine", "DialSettings", "PlacedOption", "find_best_option", "measure_dial", "place_lines",
            "tabulate_dial"]

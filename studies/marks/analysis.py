@@ -21,10 +21,10 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
 from hrl_escape.sets.benchmark import load_benchmark
 from studies.figures import Theme, make_figure, write_label
-from studies.page import format_interval, make_table
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 from studies.unseen import get_unseen, make_streams, play_agent
 
 __all__ = ["LINES", "Args", "Cell", "Kind", "MarksRun", "analyse", "gather", "measure", "run_once"]

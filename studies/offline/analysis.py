@@ -30,11 +30,11 @@ from hrl_escape.data.recording import load_recording
 from hrl_escape.errors import ComparisonError, ConfigError
 from hrl_escape.options.options_env import OptionsEnv
 from studies.figures import Theme, make_figure, write_label
-from studies.page import format_interval, make_table
 from studies.running import StudyArgs
 from studies.statistics import compare_signs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 from studies.unseen import count_fewest, get_unseen, play_unseen
 
 __all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "name_unseen", "reads_decisions", "run_once",

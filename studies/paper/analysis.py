@@ -18,7 +18,6 @@ from hrl_escape.benchmark.statistics import Floats, compute_iqm
 from hrl_escape.errors import ComparisonError
 from hrl_escape.settings import read_record
 from studies.figures import Theme, make_figure, write_label
-from studies.page import make_table
 from studies.paper.claims import Claim, compare_recipes, judge_claims
 from studies.paper.measures import (
     Measurement,
@@ -31,6 +30,7 @@ from studies.paper.measures import (
 )
 from studies.raw import BINS, RawRun, collect_runs
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Rerun", "Reruns", "analyse", "collect", "compare_reruns", "list_claims"]
 

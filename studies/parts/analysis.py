@@ -27,7 +27,6 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.buttons.analysis import FirstEscape, find_first_escape
-from studies.page import make_table
 from studies.parts.answers import Answer, Law, PartsRun, answer, find_exchange, fit_law, is_given_up
 from studies.parts.reach import count_escapes, draw_medians, draw_reach, find_medians
 from studies.parts.runs import Cell, LearnerSettings, play_cell
@@ -35,6 +34,7 @@ from studies.running import StudyArgs
 from studies.statistics import compute_restricted_mean
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "REGISTERED", "Args", "SizeRatio", "analyse", "compare_sizes", "compute_design",
            "format_ratio", "list_jobs", "list_missing", "make_config", "measure", "run_job"]

@@ -17,7 +17,6 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.names import join_words
 from studies.figures import Theme, make_figure, write_label
-from studies.page import format_short, make_table
 from studies.price.contestants import BUTTON_COUNTS, CONTESTANTS, EFFICIENT, PAIRS
 from studies.price.ratios import COSTS, CostRatio, RunCost, compare_costs, correct_prices, measure_growth
 from studies.price.runs import PriceRun, measure_price_runs
@@ -26,6 +25,7 @@ from studies.running import StudyArgs
 from studies.statistics import compute_restricted_mean
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import format_short, make_table
 from studies.titles import find_title
 
 __all__ = ["LINES", "Args", "analyse", "compare_pair", "draw_price", "measure"]

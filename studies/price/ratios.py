@@ -15,9 +15,9 @@ import numpy as np
 
 from hrl_escape.benchmark.inference import LEVEL, correct_by_holm
 from hrl_escape.benchmark.statistics import LEAST_RUNS
-from studies.page import format_short
 from studies.price.runs import PriceRun
 from studies.statistics import choose_holm_levels, find_lasting, list_subset_means
+from studies.tables import format_short
 
 __all__ = ["COSTS", "CostRatio", "Growth", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
            "is_ready", "measure_growth"]

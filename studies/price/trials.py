@@ -13,8 +13,8 @@ from typing import Any
 
 from hrl_escape.files import read_toml
 from hrl_escape.settings import read_record
-from studies.page import make_table
 from studies.price.contestants import CONTESTANTS
+from studies.tables import make_table
 from studies.titles import find_title
 
 __all__ = ["SettingsTrial", "load_trials", "tabulate_settings"]

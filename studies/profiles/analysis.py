@@ -24,9 +24,9 @@ from hrl_escape.sets.manifest import AxisRecord
 from studies.baseline import BaselineRun
 from studies.figures import draw_rows
 from studies.ladder.baselines import BaselineArgs, collect_lines, list_missing, run_baselines
-from studies.page import make_table
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["Args", "Cells", "Gain", "analyse", "compare_everyone", "find_below", "find_falls", "find_leader", "measure"]
 

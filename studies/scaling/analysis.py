@@ -17,7 +17,6 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.figures import Theme, make_figure, write_label
-from studies.page import format_interval, make_table
 from studies.running import GridArgs
 from studies.scaling.followed_runs import FollowedRuns, count_spared, follow_runs
 from studies.scaling.results import ScalingRun
@@ -38,6 +37,7 @@ from studies.scaling.rounds import (
 from studies.statistics import Difference, compare_signs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 
 __all__ = ["LINES", "Args", "BarRuns", "analyse", "compare_given", "measure", "summarise_bar"]
 

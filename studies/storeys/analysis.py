@@ -22,10 +22,10 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.room_sequence import RoomSequence, repeat_set
 from studies.figures import Theme, make_figure, write_label
-from studies.page import format_interval, make_table
 from studies.running import StudyArgs as Args
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 from studies.unseen import count_fewest
 
 __all__ = ["LINES", "Args", "FloorRun", "analyse", "measure", "play_towers"]

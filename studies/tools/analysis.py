@@ -18,10 +18,10 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets.grammar import find_set
 from hrl_escape.text import Score, TextEnv, ToolsAgent, make_model, verify_games
-from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "GameRun", "Gain", "analyse", "compute_gain", "measure", "play_game"]
 

@@ -32,11 +32,11 @@ from hrl_escape.errors import ComparisonError, EscapeError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.motion.trajectory import make_trajectory, track
 from hrl_escape.planning.planner import RoomPlanner
-from studies.page import make_table
 from studies.running import StudyArgs
 from studies.statistics import compare_signs
 from studies.store import Store
 from studies.study import Findings, Study
+from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "VelocityRun", "analyse", "make_room", "measure", "run_once"]
 

@@ -16,13 +16,13 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
 from hrl_escape.settings import read_record
 from studies.figures import Theme, make_figure, write_label
-from studies.page import make_table
 from studies.price.contestants import Contestant
 from studies.price.ratios import COSTS, CostRatio, Middle, compare_costs, correct_prices, measure_growth
 from studies.price.runs import PriceRun, measure_price_runs
 from studies.running import StudyArgs, open_store
 from studies.store import Store
 from studies.study import Findings, Study, find_study
+from studies.tables import make_table
 from studies.titles import find_title
 
 __all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "analyse", "compare", "count_alike", "list_families",

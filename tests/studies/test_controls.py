@@ -22,7 +22,7 @@ from studies.controls import (
     list_questions,
 )
 from studies.study import Study, find_study
-from tests.studies.pages import load, save
+from tests.studies.lines import load, save
 
 GIVEN_HIERARCHIES, LEARNED_HIERARCHIES, INTRA_OPTION = map(find_study, ("hierarchies", "learned", "intra-option"))
 HIERARCHY_LEARNERS = [agent.algorithm for agent in LEARNED_HIERARCHIES.grids[0].agents if agent.learns]

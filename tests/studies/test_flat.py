@@ -34,7 +34,7 @@ from studies.league.analysis import (
 )
 from studies.price.runs import PriceRun
 from studies.study import find_study
-from tests.studies.pages import load, save
+from tests.studies.lines import load, save
 
 LINE = FlatRun("ppo", 2, 0, 30, 1_000, 500, ((0, 0.0), (500, 0.0), (1_000, 0.0)), (0.1,) * 10, (0.2,) * 10, (1.7,) * 10,
                1.0, "a")

@@ -12,7 +12,7 @@ from studies.__main__ import main
 from studies.gallery.analysis import PlayedRun, SolvedRoom, analyse, count_fewest
 from studies.store import HEADER, Store
 from studies.study import find_study
-from tests.studies.pages import load, save
+from tests.studies.lines import load, save
 
 GALLERY = find_study("gallery")
 PLAYERS, PUZZLES = GALLERY.data["players"], GALLERY.data["puzzles"]

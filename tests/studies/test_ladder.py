@@ -15,7 +15,7 @@ from studies.baseline import BaselineRun
 from studies.ladder.analysis import describe
 from studies.ladder.baselines import BaselineArgs, make_baseline_grids
 from studies.ladder.calibration import CHANCE, IN_ORDER, KNOWN, ROUND
-from tests.studies.pages import load, save
+from tests.studies.lines import load, save
 
 RUNGS_OF_TWO = ("doormat", "pair")
 RUNGS = ("low", "middle", "high")

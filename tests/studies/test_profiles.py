@@ -18,7 +18,7 @@ from studies.baseline import BaselineRun
 from studies.pages.profiles import RULES
 from studies.running import run_study
 from studies.study import find_study
-from tests.studies.pages import load
+from tests.studies.lines import load
 
 STUDY = find_study("profiles")
 AXES = load_benchmark("ladder-2").manifest.axes

@@ -1,4 +1,4 @@
-"""The pages in docs/results say what the results of their studies say, in today's words."""
+"""The README and the list of result pages agree with the studies."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from studies.page import render
 from studies.pages.parts import RULES
 from studies.parts.reach import BASELINE, FULL, RULE, count_escapes
 from studies.publishing import list_pages, load_findings
-from studies.running import analyse, open_store
-from studies.study import find_study, list_studies
+from studies.running import open_store
+from studies.study import find_study
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 HEADLINE = ("When a wrong press turns all buttons off, only agents that learn the dependencies escape from more than "
@@ -21,25 +20,14 @@ HEADLINE = ("When a wrong press turns all buttons off, only agents that learn th
 """Stands in the README."""
 
 
+def test_every_page_of_results_but_the_index_is_published_by_the_studies():
+    assert {path.stem for path in RESULTS.glob("*.md")} - {"index"} == set(list_pages())
+
+
 @pytest.fixture
 def parts() -> SimpleNamespace:
     """Numbers of the page on parts, to change."""
     return SimpleNamespace(parts=copy.deepcopy(load_findings("parts").numbers))
-
-
-@pytest.mark.nightly_for("ladder", "profiles", "budgets")
-@pytest.mark.parametrize("name", [name for name, study in list_studies().items()
-                                  if (study.folder / "page.md.j2").is_file()])
-def test_a_published_page_is_what_its_results_give(name: str):
-    study = find_study(name)
-    lines = open_store(study, None).load()
-    assert render(study, analyse(study, lines)) == (RESULTS / f"{study.page}.md").read_text()
-
-
-def test_every_page_of_results_but_the_index_is_published_by_the_studies():
-    pages = {path.stem for path in RESULTS.glob("*.md")} - {"index"}
-    assert pages == {*list_pages(), *(study.page for study in list_studies().values()
-                                      if (study.folder / "page.md.j2").is_file())}
 
 
 def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(parts: SimpleNamespace):

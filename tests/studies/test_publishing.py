@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from studies.__main__ import main
 from studies.figures import THEMES, Theme, make_figure
-from studies.page import format_interval
 from studies.publishing import (
     ResultPage,
     Rules,
@@ -23,6 +22,7 @@ from studies.publishing import (
     render_page,
 )
 from studies.study import Findings
+from studies.tables import format_interval
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 WORDS = """# Do keys help?

@@ -43,7 +43,7 @@ from studies.scaling.rounds import (
 )
 from studies.store import Store
 from studies.study import find_study
-from tests.studies.pages import load, save
+from tests.studies.lines import load, save
 
 
 def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, graph="layered", first=400, near=900):

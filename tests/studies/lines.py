@@ -1,23 +1,13 @@
-"""Pages of studies from lines written by hand."""
+"""Lines of studies, kept in a folder."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from studies.page import render, write_page
 from studies.running import open_store
 from studies.study import find_study
-
-
-def tell(study: str, lines: Sequence[Any], folder: Path | None = None) -> str:
-    """Text of a study's page of lines; with a folder it is written there, and its figures are, which takes as long."""
-    found = find_study(study)
-    page = found.analysis.analyse(found, lines)
-    if folder is not None:
-        write_page(found, page, folder)
-    return render(found, page)
 
 
 def save(study: str, lines: Iterable[Any], folder: Path) -> Path:
