@@ -14,7 +14,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
-.PHONY: help demo watch test test-nightly docs lint dist clean
+.PHONY: help demo watch test test-nightly docs contact-sheet lint dist clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -30,7 +30,7 @@ demo: $(STAMP) ## compare six agents in a room with four buttons; ends with a li
 watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cluttered room; Ctrl-C ends
 	$(WATCH)
 
-test: $(STAMP) ## the fast tests, some eight minutes on two idle cores
+test: $(STAMP) ## the fast tests, five to six minutes on two idle cores
 	python -m pytest tests -n $(JOBS) --dist worksteal -m "not (nightly or gpu)"
 
 test-nightly: $(STAMP) ## all others, planted bugs among them, about an hour; a tenth of them: make test-nightly SHARD=1/10
@@ -39,8 +39,10 @@ test-nightly: $(STAMP) ## all others, planted bugs among them, about an hour; a 
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -j $(JOBS) -W --keep-going -q docs build/docs
 	python -m pytest -q tests/docs/test_site.py --site build/docs
-	python docs/contact_sheet.py build/docs
 	@echo "Read it: $(CURDIR)/build/docs/index.html"
+
+contact-sheet: docs ## pictures of every page of the site, on a laptop and on a phone
+	python docs/contact_sheet.py build/docs
 
 dist: $(STAMP) ## wheel and source into dist, built twice to the same bytes and checked for a package index
 	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[release]'

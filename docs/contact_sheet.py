@@ -3,7 +3,7 @@
     python docs/contact_sheet.py build/docs
 
 writes `build/docs/contact/laptop-1.png`, `phone-1.png` and so on through headless Chromium, and says which page is
-where. `make docs` does so where Chromium is installed.
+where. `make contact-sheet` builds the site first. It needs Chromium.
 """
 
 from __future__ import annotations

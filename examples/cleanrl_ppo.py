@@ -1,7 +1,7 @@
-"""PPO in one file, in the style of CleanRL, on many rooms that step together: nothing of this package but the rooms.
+"""PPO in one file, in the style of CleanRL, on many rooms that step together.
 
-Rooms begin their next episode in the step in which one ends (`SameStep`), as CleanRL's loop expects. The time limit is
-no end of the task: where it cut an episode, the value of the state reached (`final_obs`) is added to the reward.
+Only the rooms come from this package. They reset in the step that ends an episode (`SameStep`), as CleanRL's loop
+expects. At the time limit, the value of the state reached (`final_obs`) is added to the reward.
 """
 
 import time
@@ -45,22 +45,22 @@ def main(room: str = "hrl_escape/PaperOneButton-v1", primitives: int = 200_000, 
          epochs: int = 4, minibatches: int = 8, learning_rate: float = 1e-3, gamma: float = 0.99,
          gae_lambda: float = 0.95, clip: float = 0.2, entropy: float = 0.01, reward_scale: float = 0.01,
          seed: int = 1) -> None:
-    """Train, and tell of the episodes that ended in each tenth of the budget.
+    """Train, and print the mean return and success rate of each tenth of the budget.
 
     Args:
-        room: id of the environment.
-        primitives: budget, in all rooms together.
-        envs: rooms that step together.
-        steps: of each room in a rollout.
-        epochs: over a rollout.
-        minibatches: in an epoch.
-        learning_rate: of Adam.
-        gamma: discount.
-        gae_lambda: of generalised advantages.
-        clip: of the probability ratio.
-        entropy: weight of the policy's entropy.
-        reward_scale: rewards are learned in these units.
-        seed: of weights, draws and rooms.
+        room: environment id.
+        primitives: training budget of all rooms together.
+        envs: number of rooms.
+        steps: steps per room in a rollout.
+        epochs: passes over a rollout.
+        minibatches: minibatches per epoch.
+        learning_rate: step size of Adam.
+        gamma: discount per primitive.
+        gae_lambda: lambda of generalised advantage estimation.
+        clip: bound on the probability ratio.
+        entropy: weight of the entropy bonus.
+        reward_scale: factor on rewards.
+        seed: seed of weights, draws and rooms.
     """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
@@ -71,7 +71,7 @@ def main(room: str = "hrl_escape/PaperOneButton-v1", primitives: int = 200_000, 
     seen = torch.zeros((*shape, *many.single_observation_space.shape))
     actions, log_probabilities, rewards, overs, values = (torch.zeros(shape) for _ in range(5))
     now, begun = torch.from_numpy(many.reset(seed=seed)[0]), time.process_time()
-    returns, ended, told = np.zeros(envs), [], 0
+    returns, ended, printed = np.zeros(envs), [], 0
     for done in range(0, primitives, steps * envs):
         for step in range(steps):
             with torch.no_grad():
@@ -113,8 +113,8 @@ def main(room: str = "hrl_escape/PaperOneButton-v1", primitives: int = 200_000, 
                 nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
                 optimiser.step()
         learned = done + steps * envs
-        if learned * 10 // primitives > told and ended:
-            told = learned * 10 // primitives
+        if learned * 10 // primitives > printed and ended:
+            printed = learned * 10 // primitives
             total, escaped = np.mean(ended, axis=0)
             print(f"{learned:,} primitives: return {total:.0f}, {escaped:.0%} of {len(ended)} episodes escape")
             ended = []

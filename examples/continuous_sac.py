@@ -1,4 +1,4 @@
-"""Velocities for actions: Stable-Baselines3's SAC, unmodified, beside the plan driven as a trajectory."""
+"""Velocities as actions: Stable-Baselines3's SAC, unmodified, compared with a plan driven as a trajectory."""
 
 import argparse
 
@@ -10,10 +10,10 @@ from hrl_escape.planning import RoomPlanner, make_trajectory, track
 
 
 def main() -> None:
-    """Track the plan, train, and play the policy once."""
+    """Track the plan, train SAC, and run its policy once."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--room", default="paper-one-button")
-    parser.add_argument("--steps", type=int, default=3000, help="of training, 0.1 s each")
+    parser.add_argument("--steps", type=int, default=3000, help="training steps of 0.1 s")
     chosen = parser.parse_args()
     env = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", instance=hrl_escape.make_room(chosen.room),
                          observation="features", time_limit=100.0)

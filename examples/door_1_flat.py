@@ -1,6 +1,6 @@
-"""Door 1: a room as a plain Gymnasium environment.
+"""A room as a plain Gymnasium environment.
 
-A robot must press two buttons in the right order and stand in the exit. A primitive costs 1, the exit brings 100.
+A robot must press two buttons in the right order and go to the exit. A primitive costs 1, and an escape earns 100.
 """
 
 import gymnasium

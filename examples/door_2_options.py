@@ -1,7 +1,7 @@
-"""Door 2: the same room with options. One step is one decision, which may run many primitives.
+"""The same room with options: one step is one decision, which can run many primitives.
 
-The planned options `press-button-1` and `press-button-2` press a button each, and `go-to-exit` leaves, from anywhere.
-`info` holds the numbers of a decision: duration k, discount gamma^k, the sum of gamma^i r_i, and the legal actions.
+The planned options `press-button-1` and `press-button-2` press a button each, and `go-to-exit` leaves the room. `info`
+holds the duration k, the discount gamma^k, the discounted reward sum of gamma^i r_i, and the legal actions.
 """
 
 import gymnasium

@@ -1,4 +1,4 @@
-"""Door 3: train an agent on options. All algorithms learn from SMDP transitions; a flat room is the case k = 1."""
+"""Train an agent on options. All agents learn from SMDP transitions, and a flat room is the case k = 1."""
 
 import itertools
 from pathlib import Path

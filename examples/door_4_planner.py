@@ -1,4 +1,4 @@
-"""Door 4: the planner. Plan to any goal from any state, run the plan, and draw it."""
+"""Plan to any goal from any state, run the plan, and draw it."""
 
 from pathlib import Path
 
@@ -9,11 +9,11 @@ from hrl_escape.planning.planner import RoomPlanner
 
 
 def main(room: str = "clutter", draw: Path = Path("plan.svg")) -> None:
-    """Plan to one button, then plan the whole escape, drive it and draw it.
+    """Plan to one button, then plan the whole escape, run it and draw it.
 
     Args:
         room: the room, such as clutter or ladder-1/chain/test#5.
-        draw: picture to write.
+        draw: file of the picture.
     """
     env = hrl_escape.make_env(room)
     env.reset(seed=0)

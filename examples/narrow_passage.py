@@ -1,12 +1,12 @@
-"""A long robot in a narrow passage: a rectangular base whose turns walls block.
+"""Drive a rectangular base through a doorway that is narrower than the base is long.
 
 Run it:
 
     python examples/narrow_passage.py
     python examples/narrow_passage.py --drive strafing --draw passage.svg
 
-The doorway is narrower than the base is long, so the robot must point through it. The planner knows at which headings
-the base fits, and where it can turn; every plan is driven by the environment as predicted.
+The robot must point through the doorway. The planner computes the headings where the base fits and the places where it
+can turn. The environment executes every plan as predicted.
 """
 
 import argparse

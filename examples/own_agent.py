@@ -1,8 +1,7 @@
 """Your own agent in 40 lines: Monte Carlo control over decisions of any duration.
 
-The members written here are the whole contract of `hrl_escape.agents.Agent`. `train` gives it curves, logs,
-checkpoints and resuming. To have it in `hrl-escape compare`, publish it under the entry-point group
-`hrl_escape.agents`.
+These members are the whole contract of `hrl_escape.agents.Agent`. `train` adds curves, logs, checkpoints and resuming.
+To use the agent in `hrl-escape compare`, publish it under the entry-point group `hrl_escape.agents`.
 """
 
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from hrl_escape.options.options_env import OptionsEnv
 
 @dataclass(frozen=True)
 class MonteCarloSettings(AgentSettings):
-    """What can be set."""
+    """Settings of Monte Carlo control."""
 
     gamma: float = 0.99
     """Discount per primitive."""
@@ -27,36 +26,36 @@ class MonteCarloSettings(AgentSettings):
 
 
 class MonteCarlo(Agent):
-    """Q(s, o) is the mean of the returns that followed o in s; s is the observation, rounded."""
+    """Q(s, o) is the mean return after o in s, where s is the rounded observation."""
 
     Settings = MonteCarloSettings
     STATE = ("table", "rng")  # everything that learning depends on, between episodes
 
     def __init__(self, observation_space, action_space, seed, settings=None):
-        """Begin with an empty table."""
+        """Make an empty table."""
         self.settings = settings or MonteCarloSettings()
         self.actions, self.rng = int(action_space.n), np.random.default_rng(seed)
         self.table, self.episode = {}, []  # key -> [sum of returns, visits], (2, actions); decisions so far
 
     def read(self, observation):
-        """The table's row for an observation."""
+        """Return the sums and counts of returns at an observation, (2, actions)."""
         key = ",".join(map(str, np.round(observation * 4).astype(int)))
         return self.table.setdefault(key, np.zeros((2, self.actions)))
 
     def act(self, observation, action_mask):
-        """Explore a little."""
+        """Choose epsilon-greedily."""
         if self.rng.random() < self.settings.epsilon:
             return int(self.rng.choice(np.flatnonzero(action_mask)))
         return self.act_greedy(observation, action_mask, self.rng)
 
     def act_greedy(self, observation, action_mask, rng):
-        """The best mean return; what was never tried comes first."""
+        """Choose the best mean return; untried actions come first."""
         total, visits = self.read(observation)
         means = np.where(visits > 0, total / np.maximum(visits, 1), 1e3)
         return int(np.argmax(np.where(action_mask, means, -np.inf)))
 
     def observe(self, transition: SMDPTransition):
-        """At the episode's end, add up R + gamma^k G backwards, whatever each decision's duration was."""
+        """At the end of the episode, add up G = R + gamma^k G' backwards over its decisions."""
         self.episode.append((self.read(transition.observation), transition))
         if not (transition.terminated or transition.truncated):
             return {}
@@ -69,7 +68,7 @@ class MonteCarlo(Agent):
 
 
 def main(primitives: int = 10_000) -> None:
-    """Train it on the two-button room.
+    """Train in the room with two buttons.
 
     Args:
         primitives: training budget.

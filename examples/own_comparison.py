@@ -1,6 +1,6 @@
-"""Your own comparison in Python: a grid of agents and rooms as data, parallel runs that are kept, and a report.
+"""Your own comparison in Python: a grid of agents and rooms, parallel runs that can be resumed, and a report.
 
-The same from a shell: hrl-escape compare --agents random-options smdp-q-learning --room four-button-chain
+On the command line: hrl-escape compare --agents random-options smdp-q-learning --room four-button-chain
 """
 
 from pathlib import Path
@@ -14,12 +14,12 @@ from hrl_escape.benchmark.verdict import write_verdict
 
 
 def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comparison")) -> None:
-    """Test whether agents learn better if they choose among options only.
+    """Compare agents that choose among options only with agents that also choose primitives.
 
     Args:
         primitives: training budget of a run.
         runs: number of training seeds.
-        out: folder of runs and report; finished runs in it are kept.
+        out: folder of runs and report; finished runs are reused.
     """
     grid = Grid(
         name="own-comparison",
@@ -42,5 +42,5 @@ def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comp
     print(f"report: {out / 'report.html'}")
 
 
-if __name__ == "__main__":  # processes are started, so this line is needed
+if __name__ == "__main__":  # required, because the runs start processes that import this file
     tyro.cli(main)

@@ -1,6 +1,6 @@
-"""Your own option: an initiation set, a policy and a termination. This one slides until something stops it.
+"""Your own option: it moves in one direction until something stops it.
 
-It is offered next to the planned options, in every instance of the room, and checked against the contract.
+The option is checked against the contract and then offered next to the planned options, in every instance of the room.
 """
 
 import gymnasium
@@ -23,18 +23,18 @@ class Slide(Option):
         self._last: RoomState | None = None
 
     def policy(self, state: RoomState) -> int:
-        """The same primitive in every state."""
+        """Return the same primitive in every state."""
         self._last = state
         return self.primitive
 
     def termination(self, state: RoomState) -> float:
-        """1 if the last primitive was stopped short."""
+        """Return 1 if the last primitive did not move the robot."""
         moved = self._last is None or abs(state.x - self._last.x) + abs(state.y - self._last.y) > 0.5
         return 0.0 if moved else 1.0
 
 
 def main(config: str = "clutter", decisions: int = 12) -> None:
-    """Check a slide, make a room with planned options and slides, and choose at random.
+    """Check a slide, make a room with planned options and slides, and choose among them at random.
 
     Args:
         config: preset of the room.

@@ -1,12 +1,12 @@
-"""Your own option set: a function of a room's planner, under a name that every `option_set=` takes."""
+"""Your own option set: a function of a room's planner, registered under a name for `option_set=`."""
 
 from collections.abc import Sequence
 
 import tyro
 
 from hrl_escape import OptionsEnv, RoomPlanner
+from hrl_escape.agents import AgentSpec
 from hrl_escape.agents.spec import OptionsView
-from hrl_escape.benchmark import AgentSpec
 from hrl_escape.env import EscapeRoomEnv
 from hrl_escape.options import Option, make_go_to, make_meta_options, register_option_set
 

@@ -1,8 +1,7 @@
-"""Your own puzzle: Lights Out in a row. Pressing a light toggles it and its neighbours; all on opens the exit.
+"""Your own puzzle: Lights Out in a row. A press toggles a light and its neighbours, and the exit opens when all are on.
 
 A puzzle is a part of the room configuration (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`),
-and a symbolic model from which options, planners and PDDL follow. Publish it under the entry-point group
-`hrl_escape.puzzles`.
+and a symbolic model for options, planners and PDDL. Publish it under the entry-point group `hrl_escape.puzzles`.
 """
 
 import dataclasses
@@ -25,7 +24,7 @@ from hrl_escape.settings import Range
 
 @dataclasses.dataclass(frozen=True)
 class LightRowConfig(PuzzleConfig):
-    """Room configuration: how many lights."""
+    """Number and size of the lights."""
 
     kind = "light-row"
     count: Annotated[int, Range(2, 12)] = 4
@@ -36,7 +35,7 @@ class LightRowConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class LightRow(Graphed, Modelled, Puzzle):
-    """The state is a tuple of bools, one a light; all are off at first."""
+    """Lights in a row. The state is a tuple of bools, one per light."""
 
     kind = "light-row"
     count: Annotated[int, Range(2, 12)] = 4
@@ -46,33 +45,33 @@ class LightRow(Graphed, Modelled, Puzzle):
     goal_targets = property(lambda self: tuple(range(self.count)))
 
     def make_state(self):
-        """All off."""
+        """Return the state with all lights off."""
         return (False,) * self.count
 
     def update(self, state, contacts):
-        """Each press toggles a light and its neighbours."""
+        """Toggle each pressed light and its neighbours."""
         for pressed in contacts.pressed:
             state = tuple(on != (abs(i - pressed) <= 1) for i, on in enumerate(state))
         return state
 
     def is_solved(self, state):
-        """All on."""
+        """Return whether all lights are on."""
         return all(state)
 
     def observe(self, state):
-        """One number a light."""
+        """Return 1 for each light that is on, else 0."""
         return tuple(map(float, state))
 
     def get_lit(self, state):
-        """The lights that are on."""
+        """Return, for each light, whether it is on."""
         return state
 
     def get_facts(self, state):
-        """`on(light-i)` for those that are on."""
+        """Return the fact `on(light-i)` for each light that is on."""
         return frozenset(f"on({name})" for name, on in zip(self.target_names, state, strict=True) if on)
 
     def make_symbolic_model(self):
-        """One operator for each press and each state of the lights that it toggles."""
+        """Make one operator for each press and each state of the lights that it toggles."""
         facts, operators = [f"on({name})" for name in self.target_names], []
         for i, name in enumerate(self.target_names):
             near = facts[max(0, i - 1) : i + 2]
@@ -88,12 +87,12 @@ register_puzzle(LightRowConfig, LightRow)
 
 
 def main(count: int = 4, seed: int = 0, draw: Path = Path("light-row.svg")) -> None:
-    """Check the puzzle, make a room with it, let the planner solve it, draw the way.
+    """Check the puzzle, make a room with it, solve it and draw the escape.
 
     Args:
         count: number of lights.
         seed: instance seed.
-        draw: picture to write.
+        draw: file of the picture.
     """
     check_puzzle(LightRow(count))
     config = RoomConfig(name="light-row", puzzle=LightRowConfig(count), robot=RobotConfig(body_radius=0.5),

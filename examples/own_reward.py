@@ -1,4 +1,4 @@
-"""Your own reward: a price for turning and a bonus for each button that comes on, in one room and in a batch."""
+"""Your own reward: a cost of turning and a bonus for each button that turns on, in one room and in a batch."""
 
 import dataclasses
 from typing import Annotated, Any
@@ -15,16 +15,16 @@ from hrl_escape.settings import Range
 
 @dataclasses.dataclass(frozen=True)
 class SteadyReward(RewardConfig):
-    """Sparse reward with a price for turning and a bonus for each button that comes on."""
+    """Sparse reward with a cost of turning and a bonus for each button that turns on."""
 
     kind = "steady"
     turn_cost: Annotated[float, Range(0, 10)] = 0.5
-    """Price of a turn."""
+    """Cost of a turn."""
     bonus: Annotated[float, Range(0, 100)] = 5.0
-    """Reward of a primitive in which a button comes on."""
+    """Bonus of a primitive that turns a button on."""
 
     def compute_extra(self, before: RewardState, after: RewardState, events: Events) -> Any:
-        """Compute bonus and price; numbers for a room, tensors for a batch."""
+        """Compute bonus minus cost: a number for one room, a tensor for a batch."""
         turned = after.heading_steps != before.heading_steps
         return self.bonus * (events.turned_on != 0) - self.turn_cost * turned
 
@@ -33,7 +33,7 @@ def main(turn_cost: float = 0.5) -> None:
     """Turn and move in a single room and in a batch, and print the rewards.
 
     Args:
-        turn_cost: price of a turn.
+        turn_cost: cost of a turn.
     """
     rewards.register("steady", SteadyReward)
     config = RoomConfig(reward=SteadyReward(turn_cost=turn_cost))

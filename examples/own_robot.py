@@ -4,8 +4,8 @@ Run it:
 
     python examples/own_robot.py
 
-The table is Universal Robots' "DH Parameters for calculations of kinematics and dynamics" (UR5e). Links are drawn as
-cylinders along the table's d and a. If you have the robot's own URDF, `load_urdf(path)` reads it with its meshes.
+The table is Universal Robots' "DH Parameters for calculations of kinematics and dynamics" (UR5e). Links are
+cylinders along the table's d and a. If you have the URDF of your robot, `load_urdf(path)` reads it with its meshes.
 """
 
 import argparse
@@ -25,7 +25,7 @@ UR5E = (  # d, a [m], alpha [rad]
 
 
 def write_urdf(table: tuple[tuple[float, float, float], ...]) -> str:
-    """URDF of a table: joint i turns about z, then its link goes d along z, a along x and turns by alpha about x."""
+    """Write the URDF of a table: joint i turns about z, its link goes d along z and a along x and turns by alpha."""
     parts, place = ['<link name="link-0"/>'], 'xyz="0 0 0" rpy="0 0 0"'
     for number, (d, a, alpha) in enumerate(table, 1):
         shapes = ""
@@ -44,7 +44,7 @@ def write_urdf(table: tuple[tuple[float, float, float], ...]) -> str:
 
 
 def multiply_table(table: tuple[tuple[float, float, float], ...], angles: list[float]) -> np.ndarray:
-    """Placement of the flange in the arm's base, shape (4, 4): the product that defines the table."""
+    """Compute the placement of the flange in the frame of the arm's base, (4, 4), as the product of the table."""
     at = np.eye(4)
     for (d, a, alpha), angle in zip(table, angles, strict=True):
         cos, sin, cos_a, sin_a = math.cos(angle), math.sin(angle), math.cos(alpha), math.sin(alpha)
@@ -54,7 +54,7 @@ def multiply_table(table: tuple[tuple[float, float, float], ...], angles: list[f
 
 
 def main() -> None:
-    """Check the URDF against the table, then plan a motion round a post."""
+    """Check the URDF against the table, then plan a motion around a post."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     robot = RobotConfig(kind="urdf", urdf=write_urdf(UR5E), joints=6, hand_link="flange", drive="differential",
                         body_radius=0.4, body_height=0.6)

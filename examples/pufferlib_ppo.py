@@ -1,8 +1,8 @@
-"""PufferLib's trainer, unmodified, on rooms that step together in the buffers it shares with its environments.
+"""PufferLib's trainer, unmodified, on rooms that step together in shared buffers.
 
-PufferLib 3 limits Gymnasium and NumPy to versions older than this package's, so it is no extra: install it with
-`pip install --no-deps pufferlib`, and whatever it then misses. Without it the script says so and ends. Its trainer
-clips rewards to [-1, 1], so they are told here in hundreds; where the time limit cuts an episode, it takes it to go on.
+PufferLib 3 requires older versions of Gymnasium and NumPy than this package. Install it with
+`pip install --no-deps pufferlib`, and the packages it then misses. Without it, the script prints this and ends. The
+trainer clips rewards to [-1, 1], so rewards are divided by 100. It treats a truncated episode as continuing.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ import hrl_escape  # noqa: F401  # registers the rooms
 
 
 def make_rooms(room: str, count: int) -> Any:
-    """Rooms as one native environment of PufferLib, whose `num_agents` are the rooms; imports it."""
+    """Make a native environment of PufferLib with one agent per room; imports PufferLib."""
     import pufferlib
 
     class Rooms(pufferlib.PufferEnv):
-        """Rooms that begin their next episode in the step in which one ends, as the trainer expects."""
+        """Rooms that reset in the step that ends an episode, as the trainer expects."""
 
         def __init__(self, buf: Any = None) -> None:
             self._many = gymnasium.make_vec(room, num_envs=count, observation="features", autoreset_mode="SameStep")
@@ -37,19 +37,20 @@ def make_rooms(room: str, count: int) -> Any:
             super().__init__(buf)
 
         def reset(self, seed: int | None = None) -> tuple[NDArray[Any], list[dict[str, float]]]:
-            """Begin all episodes anew."""
+            """Reset all rooms."""
             self.observations[:], self._returns = self._many.reset(seed=seed)[0], np.zeros(self.num_agents)
             return self.observations, []
 
         def step(self, actions: NDArray[Any]) -> tuple[Any, Any, Any, Any, list[dict[str, float]]]:
-            """Step every room, and tell of the episodes that ended."""
+            """Step every room, and return statistics of the episodes that ended."""
             self.observations[:], reward, self.terminals[:], self.truncations[:], _ = self._many.step(actions)
             self.rewards[:] = reward / 100
             self._returns += reward
             over = self.terminals | self.truncations
-            told = [{"return": float(self._returns[k]), "escaped": float(self.terminals[k])} for k in over.nonzero()[0]]
+            ended = [{"return": float(self._returns[k]), "escaped": float(self.terminals[k])}
+                     for k in over.nonzero()[0]]
             self._returns[over] = 0.0
-            return self.observations, self.rewards, self.terminals, self.truncations, told
+            return self.observations, self.rewards, self.terminals, self.truncations, ended
 
         def close(self) -> None:
             """Release the rooms."""
@@ -60,15 +61,15 @@ def make_rooms(room: str, count: int) -> Any:
 
 def main(room: str = "hrl_escape/PaperOneButton-v1", primitives: int = 200_000, envs: int = 32, steps: int = 64,
          out: Path = Path("pufferlib"), seed: int = 1) -> None:
-    """Train, and tell of the episodes that ended in each tenth of the budget.
+    """Train, and print the mean return and success rate of each tenth of the budget.
 
     Args:
-        room: id of the environment.
-        primitives: budget, in all rooms together.
-        envs: rooms that step together.
-        steps: of each room in a rollout.
+        room: environment id.
+        primitives: training budget of all rooms together.
+        envs: number of rooms.
+        steps: steps per room in a rollout.
         out: folder of the trainer's checkpoints.
-        seed: of weights, draws and rooms.
+        seed: seed of weights, draws and rooms.
     """
     if importlib.util.find_spec("pufferlib") is None:
         print("PufferLib is not installed: pip install --no-deps pufferlib, and what it then misses")
@@ -89,7 +90,7 @@ def main(room: str = "hrl_escape/PaperOneButton-v1", primitives: int = 200_000, 
         "max_minibatch_size": envs * steps // 8, "compile": False, "use_rnn": False, "vtrace_rho_clip": 1.0,
         "vtrace_c_clip": 1.0, "prio_alpha": 0.0, "prio_beta0": 1.0, "tag": None,
     }
-    with contextlib.redirect_stdout(io.StringIO()):  # of its dashboard
+    with contextlib.redirect_stdout(io.StringIO()):  # hides its dashboard
         trainer = PuffeRL(config, rooms, pufferlib.models.Default(rooms, hidden_size=64))
     ended: dict[str, list[float]] = {}
     for part in range(1, 11):

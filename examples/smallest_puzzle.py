@@ -1,5 +1,5 @@
-"""The smallest puzzle, 15 lines, solved by a planner. Each press toggles a light, and all must be on."""
-# ruff: noqa: E731  # rules as one-liners, so that all of them are seen at once
+"""The smallest puzzle, solved by the planner. Each press toggles a light, and all lights must be on."""
+# ruff: noqa: E731  # one-line rules fit on one screen
 
 import dataclasses
 
@@ -10,14 +10,14 @@ from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_p
 
 @dataclasses.dataclass(frozen=True)
 class TogglesConfig(PuzzleConfig):
-    """The room configuration, which has no knobs."""
+    """Configuration without fields."""
 
     kind, panels = "toggles", Panels(width=1.5)
 
 
 @dataclasses.dataclass(frozen=True)
 class Toggles(Puzzle):
-    """The state is a number whose bits are the lights."""
+    """The state is an integer with one bit per light."""
 
     kind, target_names = "toggles", ("a", "b", "c")
     make_state = lambda self: 0

@@ -1,7 +1,7 @@
-"""Stable-Baselines3 and sb3-contrib, unmodified, on primitives and on options; and a model of theirs as an option.
+"""Stable-Baselines3 and sb3-contrib, unmodified, on primitives and on options, and a trained model as an option.
 
-They count and discount an option as one step, where an SMDP agent discounts by its duration, and only MaskablePPO
-knows which options are legal. Needs the extra `bench`: pip install -c constraints.txt '.[bench]' in a checkout.
+These algorithms count and discount an option as one step, while an SMDP agent discounts by its duration. Only
+MaskablePPO uses the action mask. Requires the extra `bench`: pip install -c constraints.txt '.[bench]' in a checkout.
 """
 
 import gymnasium
@@ -17,12 +17,12 @@ from hrl_escape.options import LearnedOption, OptionsEnv
 
 
 def make_flat() -> gymnasium.Env:
-    """A room of primitives."""
+    """Make a room with primitives."""
     return Monitor(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features"))
 
 
 def make_options() -> gymnasium.Env:
-    """The same room with options."""
+    """Make the same room with options."""
     flat = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features")
     return Monitor(OptionsEnv(flat))
 
@@ -31,7 +31,7 @@ def main(steps: int = 4_000, seed: int = 0) -> None:
     """Train each algorithm briefly and evaluate it.
 
     Args:
-        steps: number of environment steps: primitives or decisions.
+        steps: environment steps, which are primitives or decisions.
         seed: seed of the training runs.
     """
     torch.set_num_threads(1)
@@ -51,7 +51,7 @@ def main(steps: int = 4_000, seed: int = 0) -> None:
 
 
 def show_model_as_option(steps: int, seed: int) -> None:
-    """Run a model as one option among the primitives: it balances until the cart has left the middle."""
+    """Run a trained model as an option next to the primitives. It balances until the cart has left the middle."""
     model = PPO("MlpPolicy", "CartPole-v1", seed=seed, device="cpu", n_steps=256).learn(steps)
     balance = LearnedOption("balance", model, termination=lambda state: float(abs(state[0]) > 0.5))
     env = OptionsEnv(gymnasium.make("CartPole-v1"), [balance])

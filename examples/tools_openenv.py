@@ -1,7 +1,7 @@
 """A room as an OpenEnv environment: `reset` and `step` with typed actions, served to trainers over HTTP.
 
-Needs `pip install openenv`, whose pins disagree with other frameworks', so it is no extra of this package. Without it
-the script says so and ends.
+Requires `pip install openenv`. Its pinned versions conflict with other frameworks, so this package has no extra for it.
+Without it, the script prints this and ends.
 
     python examples/tools_openenv.py               # plays one game in this process
     python examples/tools_openenv.py --serve       # serves rooms on 127.0.0.1:8000
@@ -18,7 +18,7 @@ from hrl_escape.text import RoomSession
 
 
 def make_classes() -> tuple[Any, Any, Any]:
-    """The environment's class, and those of its actions and observations; imports OpenEnv."""
+    """Make the classes of the environment, its actions and its observations; imports OpenEnv."""
     from openenv.core.env_server.interfaces import Environment
     from openenv.core.env_server.types import Action, Observation, State
 
@@ -31,7 +31,7 @@ def make_classes() -> tuple[Any, Any, Any]:
         is_error: bool = False
 
     class EscapeRoom(Environment[ToolAction, ToolObservation, State]):
-        """One room, played by calls of its tools."""
+        """One room, played by tool calls."""
 
         SUPPORTS_CONCURRENT_SESSIONS = True
 

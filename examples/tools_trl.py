@@ -1,9 +1,9 @@
-"""Tools of a room for TRL: a class whose public methods are what a model in training may call.
+"""Tools of a room for TRL: a class whose public methods are the tools of a model in training.
 
     trainer = GRPOTrainer(model=..., environment_factory=EscapeRoom, train_dataset=...)
 
-TRL makes an instance per rollout, reads each method's docstring as a tool's schema and calls `get_reward` at the end.
-The class needs no package of TRL's; without it, this script plays one game by hand.
+TRL makes an instance per rollout, reads the docstring of each method as the schema of a tool, and calls `get_reward` at
+the end. This script needs no TRL and plays one game by hand.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from hrl_escape.text import RoomSession
 
 
 class EscapeRoom:
-    """One room a rollout, drawn by the example's `seed`.
+    """One room per rollout, drawn by the `seed` of the example.
 
     Args:
         preset: configuration of the rooms.
-        reveal: names, places or model.
+        reveal: information in the text: names, places or model.
     """
 
     def __init__(self, preset: str = "paper-two-button", reveal: Any = "places") -> None:
@@ -27,18 +27,18 @@ class EscapeRoom:
         self._session: RoomSession | None = None
 
     def reset(self, seed: int = 0, **example: Any) -> str:
-        """Begin a game in the room of this seed; returns the text that begins it."""
+        """Start a game in the room of this seed and return its first text."""
         self._session = RoomSession(EscapeRoomEnv(instance=generate(self._config, seed)), self._reveal)
         return self._session.reset(seed=seed)
 
     def run_option(self, option: str) -> str:
-        """Carry out an option to its end, such as driving to a button and pressing it.
+        """Run an option to its end, such as driving to a button and pressing it.
 
         Args:
             option: Name of the option, such as `press-button-1`, or `go-to-exit` for the way out.
 
         Returns:
-            What happened, what it cost and what can be done next.
+            What happened, its cost, and the options that can start next.
         """
         return self._call("run_option", {"option": option})
 
@@ -46,7 +46,7 @@ class EscapeRoom:
         """Describe the room. This is free.
 
         Returns:
-            What there is, what is on and where it is.
+            The objects, their places, and which are on.
         """
         return self._call("look", {})
 
@@ -58,12 +58,12 @@ class EscapeRoom:
             times: How often, at most 50.
 
         Returns:
-            What happened and what it cost.
+            What happened and its cost.
         """
         return self._call("move", {"primitive": primitive, "times": times})
 
     def get_reward(self) -> float:
-        """Efficiency of the game, from 0 (no escape) to 1 (as quick as the best known plan)."""
+        """Return the efficiency of the game, from 0 (no escape) to 1 (as fast as the best known plan)."""
         return 0.0 if self._session is None else self._session.score().efficiency
 
     def _call(self, name: str, arguments: dict[str, Any]) -> str:

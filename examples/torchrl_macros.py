@@ -1,7 +1,7 @@
-"""TorchRL's macro primitives beside options: the same motion, and what only an option can say.
+"""TorchRL's macro primitives compared with options.
 
-`MacroPrimitiveTransform` turns one target into a fixed number of actions, open loop. As a `ScriptedOption` it is the
-same motion. An option also says where it may start, ends where its termination says so, and gives k and gamma^k.
+`MacroPrimitiveTransform` turns one target into a fixed number of actions, open loop. A `ScriptedOption` makes the same
+motion. An option also has an initiation set, a termination that depends on the state, and k and gamma^k.
 """
 
 import gymnasium
@@ -16,7 +16,7 @@ from hrl_escape.options import FunctionOption, ScriptedOption
 
 
 def run_macro(torque: float, steps: int, seed: int) -> list[float]:
-    """Rewards of one macro: from no torque to the target in equal steps, whatever the pendulum does."""
+    """Run one macro, from no torque to the target in equal steps, and return its rewards."""
     transform = MacroPrimitiveTransform(macro_steps=steps, action_dim=1, execute=True)
     env = TransformedEnv(GymWrapper(gymnasium.make("Pendulum-v1")), transform)
     decision = env.reset(seed=seed).set("action", torch.tensor([torque]))
@@ -24,19 +24,19 @@ def run_macro(torque: float, steps: int, seed: int) -> list[float]:
 
 
 def expand_macro(torque: float, steps: int) -> ScriptedOption:
-    """Option of the actions that the transform makes of the target."""
+    """Make an option of the actions into which the transform expands the target."""
     transform = MacroPrimitiveTransform(macro_steps=steps, action_dim=1)
     actions = transform.inv(TensorDict({"action": torch.tensor([[torque]])}, batch_size=[1]))["action"][0]
     return ScriptedOption("macro", [action.numpy() for action in actions])
 
 
 def main(torque: float = 2.0, steps: int = 8, seed: int = 0, gamma: float = 0.9) -> None:
-    """Run the macro both ways, then an option that ends by itself.
+    """Run the macro both ways, then an option with a termination.
 
     Args:
-        torque: target of the macro.
-        steps: actions of the macro.
-        seed: of the first state.
+        torque: target of the macro, N m.
+        steps: number of actions in the macro.
+        seed: seed of the first state.
         gamma: discount per primitive.
     """
     brake = FunctionOption(

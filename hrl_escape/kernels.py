@@ -29,6 +29,8 @@ SOURCES = ("agents/factored/search.py", "agents/factored/structure.py", "env/bas
            "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py",
            "planning/arm/joint_lattice.py", "planning/search/a_star.py")
 """Files, relative to the package, that compiled code is made of: functions, constants and the tuples it is given."""
+WITHOUT_BASES = ("agents/factored/search.py", "agents/factored/structure.py", "planning/arm/joint_lattice.py")
+"""Those of `SOURCES` whose kernels contain no function of a base, so a new base leaves what is compiled valid."""
 
 _PARTS = {"agents": "learners of structure", "env": "the room's geometry", "floor": "ways over the floor",
           "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
@@ -68,7 +70,8 @@ class SourceLocator(UserProvidedCacheLocator):
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     before = _CONFIG.CACHE_DIR, getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", "")
     try:  # both are read by the decorator only; numba before 0.62 knows one locator
-        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(_FOLDER), f"{__name__}.{SourceLocator.__name__}"
+        folder = _FOLDER_WITHOUT_BASES if function.__module__ in _MODULES_WITHOUT_BASES else _FOLDER
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{SourceLocator.__name__}"
         compiled = numba.njit(cache=True, **options)(function)
     finally:
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
@@ -83,7 +86,7 @@ def kernel_part(function: Callable[..., Any]) -> Any:
 
 
 def add_sources(files: Iterable[Path]) -> None:
-    """Keep the kernels that are decorated from now on apart from those that other files are part of."""
+    """Keep the kernels with bases that are decorated from now on apart from those that other files are part of."""
     global _FOLDER
     own = {Path(__file__).parent / name for name in SOURCES}
     foreign = [file for file in files if file not in own]
@@ -91,11 +94,16 @@ def add_sources(files: Iterable[Path]) -> None:
         _FOLDER = find_cache_folder(foreign)
 
 
-def find_cache_folder(more: Iterable[Path] = ()) -> Path:
-    """Folder of compiled kernels, made of `SOURCES` and `more` files; the variable NUMBA_CACHE_DIR moves it."""
+def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = None) -> Path:
+    """Folder of compiled kernels; the variable NUMBA_CACHE_DIR moves it.
+
+    Args:
+        more: files that are part of the kernels besides the package's own.
+        own: the package's own files, `SOURCES` by default.
+    """
     package = Path(__file__).parent
     sources = hashlib.sha256()
-    for file in (*(package / name for name in SOURCES), *more):
+    for file in (*(package / name for name in (SOURCES if own is None else own)), *more):
         sources.update(file.read_bytes())
     folder = f"{__version__}-{sources.hexdigest()[:12]}"
     chosen = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
@@ -170,7 +178,8 @@ def _get_name(happened: event.Event) -> str:
 
 
 _USES: dict[str, str] = {}
-_FOLDER = find_cache_folder()
+_FOLDER, _FOLDER_WITHOUT_BASES = find_cache_folder(), find_cache_folder(own=WITHOUT_BASES)
+_MODULES_WITHOUT_BASES = {f"hrl_escape.{name.removesuffix('.py').replace('/', '.')}" for name in WITHOUT_BASES}
 _STOPWATCH = _Stopwatch()
 event.register("numba:compiler_lock", _STOPWATCH)
 event.register("numba:compile", _Announcer())

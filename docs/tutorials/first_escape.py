@@ -1,7 +1,7 @@
 """Your first escape.
 
-A room is a Gymnasium environment. The robot is a disc that moves in steps of 1 m and turns by 10 degrees; each
-primitive costs 1, and the escape is worth 100. The exit opens once both buttons have been lit in the right order.
+A room is a Gymnasium environment. The robot is a disc that moves in steps of 1 m and turns by 10 degrees. Each
+primitive costs 1, and an escape earns 100. The exit opens after both buttons are lit in the right order.
 """
 
 import gymnasium
@@ -19,8 +19,8 @@ for target in room.targets:
 print(f"exit: x from {room.exit.x_min:g} to {room.exit.x_max:g}, y from {room.exit.y_min:g} to {room.exit.y_max:g}")
 room  # in a notebook, a room draws itself
 
-# At heading 0 the robot looks along +x, so +y is to its left. We drive by hand: one primitive, repeated until something
-# happens. A move stops at the first obstacle. A press is the moment at which touching begins.
+# At heading 0 the robot faces along +x, so +y is on its left. The robot is driven by hand: one primitive, repeated
+# until something happens. A move stops at the first obstacle. A button is pressed when the robot begins to touch it.
 
 FORWARD, BACK, LEFT, RIGHT = 0, 1, 2, 3
 total, ended = 0.0, False
@@ -42,13 +42,13 @@ print("to button-1:", drive(LEFT, lambda seen, info: info["pressed"].any()), "pr
 print("back beside button-2:", drive(RIGHT, lambda seen, info: seen[1] < 3), "primitives")
 print("to button-2:", drive(BACK, lambda seen, info: info["pressed"].any()), "primitives")
 
-# Both buttons are lit and the exit is open. Standing in it ends the episode.
+# Both buttons are lit and the exit is open. The episode ends when the robot is in the exit.
 
 print("to the exit, along:", drive(FORWARD, lambda seen, info: seen[0] > room.exit.x_min), "primitives")
 print("to the exit, across:", drive(LEFT, lambda seen, info: False), "primitives")
 print(f"escaped: {ended}, return {total:g}")
 
-# How good is that? The planner knows a better way, and a plan plays itself.
+# The planner computes the best known return to compare with, and its plan plays itself.
 
 print(f"best known return: {best_known_return(room):g}")
 env.reset(seed=0)

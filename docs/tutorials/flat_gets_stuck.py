@@ -1,7 +1,7 @@
 """Why flat RL gets stuck.
 
-With one button, an agent that chooses primitives finds the exit by luck and learns from it. With two, nothing tells the
-agent that it is making progress. This page measures the difference.
+With one button, an agent that chooses primitives finds the exit by chance and learns from it. With two, the reward does
+not show progress. This tutorial measures the difference.
 """
 
 import gymnasium
@@ -9,7 +9,7 @@ import gymnasium
 import hrl_escape
 from hrl_escape.agents import train
 
-# Luck alone first: how often does a random walk of 5,000 primitives press a button, and how often does it escape?
+# First, random primitives: how often do 5,000 of them press a button, and how often do they escape?
 
 for config in ("paper-one-button", "paper-two-button"):
     env = gymnasium.make("hrl_escape/EscapeRoom-v1", config=config)
@@ -25,8 +25,8 @@ for config in ("paper-one-button", "paper-two-button"):
     print(f"{config}: random, 5,000 primitives: {escapes} escapes, {presses} presses")
 env.unwrapped.instance
 
-# The reward is -1 whatever the agent does until it escapes. An agent that never escapes sees a
-# constant, which teaches nothing: all actions look equally bad. Here is tabular Q-learning in the second room.
+# The reward is -1 until the agent escapes. An agent that never escapes observes a constant reward, so all actions look
+# equally bad. This is tabular Q-learning in the second room.
 
 
 def learn(agent, env):
@@ -39,17 +39,17 @@ def learn(agent, env):
 env = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features")
 flat = learn("q-learning", env)
 
-# A return of -1000 is a truncated episode. Now the same algorithm gets the same room and the same budget of primitives,
-# but a decision may be an option that goes to a button and presses it:
+# A return of -1000 is a truncated episode. Now the same algorithm trains in the same room, with the same budget of
+# primitives. A decision can also be an option that goes to a button and presses it:
 
 env = hrl_escape.OptionsEnv(env)
 with_options = learn("smdp-q-learning+primitives", env)
 
-# Is that fair? Not by itself: the options know the room's geometry. So measure random choice over the same options.
+# The options contain knowledge of the room's geometry. A random policy over the same options measures how much.
 
-chance = learn("random-options+primitives", env)
+random_policy = learn("random-options+primitives", env)
 
-# Random choice over options escapes too. (Its five numbers are the same fixed episode: it learns nothing.) Learning
-# adds the difference between the last two lines. Read every comparison in this project that way.
+# The random policy over options escapes too. (Its five numbers are the same fixed episode, since it does not learn.)
+# Learning adds the difference between the last two lines. Read every comparison in this project in this way.
 
-with_options.plot(beside=[chance, flat])
+with_options.plot(beside=[random_policy, flat])

@@ -1,7 +1,7 @@
 """Generalise to unseen rooms.
 
-An agent that escapes from one room may have learned that room. A rung of the ladder is a distribution over rooms, with
-a set to train on and a set to be tested on; they share no room and no layout.
+An agent that escapes from one room can have memorised that room. A rung of the ladder is a distribution over rooms,
+with one set for training and one for testing. The two sets share no room and no layout.
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ rung = load_benchmark("ladder-1")["pair"]
 print(len(rung.train), "rooms to train on,", len(rung.test), "to be tested in")
 rung.test[:4]
 
-# Rooms differ in where things are, so an agent must not see a fixed vector: `objects` gives a row an object, and a
-# network that reads rows values an option by the row of its own object. `DecisionMemory` writes into the rows what the
-# episode has tried. Every reset draws another room.
+# Rooms differ in the places of their objects, so a fixed vector does not fit. The observation `objects` has one row per
+# object, and the network values an option by the row of its object. `DecisionMemory` adds what the episode has tried to
+# the rows. Every reset draws another room.
 
 
 def make_env(rooms):
@@ -28,18 +28,18 @@ def make_env(rooms):
 result = train("smdp-ppo+objects+memory", make_env(rung.train[:64]), primitives=6_000, seed=0, progress=False)
 result
 
-# Now the test: rooms that it has never seen, with frozen weights. Here is one of these episodes.
+# Now the test, with frozen weights in unseen rooms. This is one of the episodes.
 
 unseen = make_env(rung.test)
 record_episode(result.agent, unseen, seed=1)
 
-# Is that good? The random policy over the same options escapes too, and so does a search baseline: it tries what is
-# unlit and untried, the nearest first. Compare a learner with both. (Twenty episodes are enough for a page, not for a
-# claim: `hrl-escape ladder run` makes a report with ten seeds and intervals.)
+# The random policy over the same options escapes too. So does the search baseline, which tries the nearest button that
+# is unlit and untried. Compare the trained agent with both. Twenty episodes suffice for a tutorial; for a claim,
+# `hrl-escape ladder run` writes a report with ten seeds and intervals.
 
 plain = rung.test.make_env(options={"include_primitives": False})
-chance = make_agent("random-options", plain.observation_space, plain.action_space, seed=0)
-for name, player, env in (("learner", result.agent, unseen), ("random policy", chance, plain),
+random_policy = make_agent("random-options", plain.observation_space, plain.action_space, seed=0)
+for name, player, env in (("learner", result.agent, unseen), ("random policy", random_policy, plain),
                           ("search baseline", "search-nearest", plain), ("oracle", "oracle", rung.test.make_env())):
     episodes = [record_episode(player, env, seed) for seed in range(20)]
     print(f"{name}: {sum(episode.success for episode in episodes)} of 20 escapes, "

@@ -1,8 +1,8 @@
-"""Goals of a room.
+"""Goal spaces of a room.
 
-A learner with two levels needs words for them to talk in: the upper level names a goal, the lower one gets there. A
-goal space says which goals there are, when one is reached, and what is left of it on the way. A room has two of them
-ready made. Here they are followed along a plan, given to a learner of single moves, and drawn.
+An agent with two levels needs a goal space: the upper level chooses a goal, and the lower level reaches it. A goal
+space lists the goals, tests whether one is reached, and computes what remains of it. Every room has two goal spaces.
+This tutorial follows them along a plan, trains an agent on one, and draws both.
 """
 
 import gymnasium
@@ -20,9 +20,8 @@ events, displacements = synthesise(room, "events", "learned"), synthesise(room, 
 print("events:", *events.names, sep="\n  ")
 print("displacements:", *displacements.names, sep="\n  ")
 
-# Events are absolute: the same goal wherever the robot is. Here is when each comes about for the first time on the
-# planner's way out, in the order that the puzzle asks for. That order is what a learner has to find: its goals tell it
-# what can happen here, not when.
+# Events are absolute: a goal is the same wherever the robot is. This prints when each event first happens on the
+# planner's way out. Their order is what an agent has to learn, because the goals do not contain it.
 
 plan = RoomPlanner(room).solve(here)
 env = HierarchyEnv(flat_room, kind="events", low_level="learned")
@@ -35,8 +34,8 @@ for step, primitive in enumerate(plan.primitives, 1):
         print(f"primitive {step}: {events.names[goal]}")
     known |= events.list_reached(observation)
 
-# Displacements are relative, so a goal is told anew at each step, as h(s, g, s') = s + g - s' (Nachum et al. 2018). One
-# that stayed as it was when it was named would run away from the robot.
+# Displacements are relative, so a goal is updated at each step by h(s, g, s') = s + g - s' (Nachum et al. 2018). A goal
+# without this update would move with the robot.
 
 env = HierarchyEnv(flat_room, kind="displacements", low_level="learned")
 before, _ = env.reset(seed=0)
@@ -46,8 +45,8 @@ for _ in range(2):
     goal, before = displacements.advance(goal, before, after), after
     print(f"left to go: {goal}")
 
-# Either space goes to a learner with its environment. The option keyboard learns a skill for each event and combines
-# them; beside it a flat learner, in a room with one button.
+# Each space comes with an environment to train in. The option keyboard learns a skill for each event and combines them.
+# A flat agent trains in the same room, which has one button.
 
 easy = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-one-button", observation="features")
 for agent, env in (("option-keyboard", HierarchyEnv(easy, kind="events", low_level="learned")), ("q-learning", easy)):
@@ -55,8 +54,8 @@ for agent, env in (("option-keyboard", HierarchyEnv(easy, kind="events", low_lev
     returns = [round(evaluation.mean_return) for evaluation in result.evaluations]
     print(f"{agent}: first escape after {result.first_escape} primitives, greedy returns {returns}")
 
-# One seed shows how it is done, not which agent is better: [all algorithms](../results/all-algorithms.md) compares
-# learners of goals with flat learners and search baselines. Last, both spaces in one picture.
+# One seed shows how to run this, not which agent is better. [All algorithms](../results/all-algorithms.md) are compared
+# in many rooms. Last, both spaces in one picture.
 
 figure = get_figure_class()(figsize=(7.6, 3.9), layout="constrained")
 panels = figure.subplots(1, 2)

@@ -1,7 +1,7 @@
-"""A language model's tools.
+"""Let a language model play a room.
 
-An agent that speaks plays the same rooms as every other agent. It reads what a room says, and calls tools; the score is
-measured against the same best known plan.
+A language model plays the same rooms as every other agent. It reads a description of the room and calls tools. Its
+score is relative to the same best known plan.
 """
 
 from hrl_escape import EscapeRoomEnv
@@ -11,15 +11,15 @@ session = RoomSession(EscapeRoomEnv(config="four-button-chain"), reveal="places"
 print(session.reset(seed=0))
 session.env.instance
 
-# Three tools are offered, as JSON Schemas. A call is answered in words; a wrong one costs a primitive, and the answer
-# says what would have been valid.
+# The room offers three tools, as JSON Schemas. The answer to a call is text. A wrong call costs a primitive, and the
+# answer lists what is valid.
 
 print([tool["name"] for tool in session.tools()])
 print(session.call("run_option", {"option": "press-button-1"}).text)
 print(session.call("open_door").text)
 
-# A caller is any function from transcript and tools to a call. Here a scripted manager goes on, which reads nothing but
-# the transcript; put your language model in its place.
+# A model is any function from transcript and tools to a call. Here a scripted model continues, which reads only the
+# transcript. Replace it by your language model.
 
 model = make_model("search-nearest")
 while not session.env.is_over:
@@ -27,16 +27,16 @@ while not session.env.is_over:
     assert isinstance(call, ToolCall)
     print(session.call(*call).text)
 
-# The score holds efficiency (1 is the best known plan), calls, wrong calls, and the characters that the caller has
-# read: tools and transcript anew before every call.
+# The score contains efficiency (1 is the best known plan), calls, wrong calls, and the characters read: tools and
+# transcript before every call.
 
 print(session.score())
 
-# A recorded game replays to the same bytes, so that nobody needs to take a score on trust.
+# A recorded game replays to the same bytes, so anyone can verify its score.
 
 save_games("game.jsonl", [record_game(session)])
 print(verify_games("game.jsonl")[0].score == session.score())
 
-# The room that it was:
+# This is the room:
 
 session.env.unwrapped.instance

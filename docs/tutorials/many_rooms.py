@@ -1,8 +1,7 @@
 """Learn from many rooms at once.
 
-A batch steps many rooms together, and options run in it. They last differently long, so no room waits for another: each
-takes its next decision when its last one ends. Here are 24 primitives of eight rooms in which blocks are gripped, each
-bar a decision.
+A batch steps many rooms together, with options. Options have different durations, and each room takes its next decision
+when the last one ends. The picture shows 24 primitives of eight rooms with blocks to grip. Each bar is a decision.
 """
 
 import time
@@ -35,36 +34,35 @@ def draw(bars):
     for room, begin, end, name in bars:
         color = f"C{batch.action_names.index(name) % 10}"
         axes.barh(room, end - begin, left=begin, edgecolor="white", color=color)
-        axes.text(begin + 0.2, room, name.removeprefix("meta-"), va="center", fontsize=7)
+        axes.text(begin + 0.2, room, name, va="center", fontsize=7)
     axes.set(xlabel="primitives", ylabel="room")
     return figure
 
 
 draw(decisions)
 
-# An agent learns from the same as in one room: observation, action, $R$, $k$, $\gamma^k$, legal actions. `train` takes
-# a batch in place of an environment; `MemoryStreams` writes into the rows of `objects` what each episode has tried. The
-# rooms are 16 of a rung's training set, and each episode draws one of them.
+# An agent reads the same values as in one room: observation, action, $R$, $k$, $\gamma^k$ and legal actions. `train`
+# takes a batch instead of an environment. `MemoryStreams` adds what each episode has tried to the rows of `objects`.
+# The rooms are 16 of a rung's training set, and each episode draws one of them.
 
 pair = load_benchmark("ladder-1")["pair"]
 arguments = {"options": {"include_primitives": False}, "observation": "objects"}
 rooms = pair.train[:16]
 unseen = DecisionMemory(pair.test.make_env(**arguments))
-rows = {"eval_env": unseen, "eval_every": 10_000, "progress": False}
+rows = {"eval_env": unseen, "eval_every": 4_000, "progress": False}
 start = time.perf_counter()
 many = train("smdp-ppo+objects+memory", MemoryStreams(rooms.make_vec(16, **arguments, compile=False)),
-             primitives=30_000, **rows)
+             primitives=12_000, **rows)
 print(f"16 rooms at once: {many.primitives:,} primitives in {time.perf_counter() - start:.0f} s")
 many
 
-# It was tested in rooms that it has never seen. One of these episodes:
+# The agent was evaluated in unseen rooms. This is one of the episodes:
 
 episode = record_episode(many.agent, unseen, seed=1)
 print(f"an unseen room: {'escaped' if episode.success else 'stuck'} after {len(episode.states) - 1} primitives")
 episode
 
-# With `compile=True`, the default, a step is one compiled kernel: that takes half a minute once, and pays from a few
-# hundred rooms on. In a shell it is `hrl-escape train smdp-ppo+objects+memory --batch 256`. Budgets of a million
-# primitives, and learners in other rungs than their own, are the subject of
-# [generalisation](../results/generalisation.md); learners at the ladder's own budgets that of
-# [budgets](../results/budgets.md).
+# With `compile=True`, the default, a step is one compiled kernel. Compiling takes half a minute once and pays off from
+# a few hundred rooms on. On the command line: `hrl-escape train smdp-ppo+objects+memory --batch 256`.
+# [Generalisation](../results/generalisation.md) has results for budgets of a million primitives and for transfer
+# between rungs, and [budgets](../results/budgets.md) for the budgets of the ladder.

@@ -1,7 +1,7 @@
 """A new puzzle in 50 lines.
 
 A puzzle is a set of rules: the effect of a press, and the condition that opens the exit. This one is a combination
-lock: the buttons must be pressed in one fixed order, and a wrong press undoes everything.
+lock. The buttons must be pressed in one fixed order, and a wrong press resets it.
 """
 
 import dataclasses
@@ -13,7 +13,7 @@ from hrl_escape.env import Kinematics, Operator, Panels, Puzzle, PuzzleConfig, S
 from hrl_escape.env.config import RobotConfig, ShapeConfig
 from hrl_escape.settings import Range
 
-# The room configuration part declares the settings and draws what is random, here the order.
+# The configuration declares the settings and draws what is random, here the order.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Lock(Puzzle):
         return SymbolicModel(tuple(facts), tuple(steps), frozenset({facts[-1]}))
 
 
-# Register and check the puzzle. Rooms, options, planners and agents then work with it.
+# Register and check the puzzle. Rooms, options, planners and agents then support it.
 
 register_puzzle(LockConfig, Lock)
 check_puzzle(Lock((2, 0, 1)))

@@ -1,7 +1,7 @@
-"""Options by hand.
+"""Write options by hand.
 
-An option has three parts: an initiation set, a policy and a termination condition. Sutton, Precup and Singh (1999)
-write it (I, pi, beta). This tutorial writes two by hand.
+An option has three parts: an initiation set, a policy and a termination, written (I, pi, beta) by Sutton, Precup and
+Singh (1999). This tutorial writes two options.
 """
 
 import gymnasium
@@ -16,8 +16,8 @@ from hrl_escape.options.option import Option, ScriptedOption
 
 quarter_turn = ScriptedOption("quarter-turn", [4] * 9)
 
-# A better option observes the state. This one crosses the room sideways. Its `policy` and `termination` are functions
-# of the state alone, which `is_markov` declares (intra-option learning relies on it).
+# A better option reads the state. This one crosses the room sideways. Its `policy` and `termination` are functions of
+# the state alone, which `is_markov` declares; intra-option learning requires this.
 
 
 class Cross(Option):
@@ -51,8 +51,8 @@ north, south = Cross("to-the-left-wall", 2, 8.0), Cross("to-the-right-wall", 3, 
 check_option(north, env)  # the contract, as a check that you can run on your own
 env.unwrapped.instance
 
-# `OptionsEnv` offers them beside the primitives. One `step` runs one of them to its end, and `info` holds the SMDP
-# transition: the duration k, the sum of gamma^i r_i, and the discount gamma^k of all that follows.
+# `OptionsEnv` offers them in addition to the primitives. One `step` runs one of them to its end. `info` holds the SMDP
+# transition: the duration k, the sum of gamma^i r_i, and the discount gamma^k.
 
 recorder = StateRecorder(env)  # keeps every state, to play them below
 env = OptionsEnv(recorder, [north, south, quarter_turn], discount=0.99)
@@ -71,7 +71,7 @@ for name in (left, left, right, turn, left):
     decisions.append((name, info["duration"], info["option"]["ended"]))
     total += reward
 
-# An option that cannot start is masked, not removed: every option keeps its number. Choosing a masked option costs one
-# primitive, so that no agent can wait for free. What happened, from above:
+# An option that cannot start is masked, so every option keeps its number. Choosing a masked option costs one primitive,
+# because waiting must not be free. The episode from above:
 
 RecordedEpisode(env.unwrapped.instance, tuple(recorder.states), tuple(decisions), total, success=False)

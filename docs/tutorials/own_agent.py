@@ -1,7 +1,8 @@
 r"""Your own agent and network.
 
-Three steps, from small to large: your own network in an agent of the package, a variant of an agent, and an agent from
-nothing. All three train in the same room, choose among the same options and share training, evaluation and checkpoints.
+Three ways to extend, from small to large: your own network in an agent of the package, a variant of an agent, and a new
+agent. All three train in the same room and choose among the same options. They share training, evaluation and
+checkpoints.
 """
 
 from dataclasses import dataclass
@@ -18,15 +19,15 @@ from hrl_escape.agents.algorithms.dqn import DQN
 env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1", observation="features"), include_primitives=False)
 env.unwrapped.instance
 
-# **A network.** Any torch module from observations to one number an action takes the place of an agent's own.
+# **A network.** Any torch module from observations to one number per action can replace an agent's own.
 
 inputs, actions = env.observation_space.shape[0], int(env.action_space.n)
 torch.manual_seed(0)
 network = nn.Sequential(nn.Linear(inputs, 64), nn.LayerNorm(64), nn.SiLU(), nn.Linear(64, actions))
 with_network = make_agent("smdp-dqn", env.observation_space, env.action_space, 0, structure={"network": network})
 
-# **A variant.** A subclass writes what it changes; replay, n-step backups and checkpoints come with it. This one backs
-# up the mellowmax of Asadi and Littman (2017), a soft maximum, where `dqn` takes the maximum.
+# **A variant.** A subclass implements what it changes and inherits replay, n-step backups and checkpoints. This one
+# backs up the mellowmax of Asadi and Littman (2017), a soft maximum, where DQN takes the maximum.
 
 
 class MellowDQN(DQN):
@@ -43,8 +44,8 @@ class MellowDQN(DQN):
 
 variant = MellowDQN(env.observation_space, env.action_space, seed=0)
 
-# **An agent.** Three methods and the names of what it has learned are the whole contract. This one is Monte Carlo
-# control: the value of an option is the mean of the returns that followed it.
+# **A new agent.** The contract is three methods and the names of its state. This agent is Monte Carlo control: the
+# value of an option is the mean of the returns that followed it.
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class MonteCarlo(Agent):
 
 own = MonteCarlo(actions, seed=0)
 
-# Train all three, and draw them together. Each number is from frozen weights, on the same fixed episodes.
+# Train all three and plot them together. Each point evaluates frozen weights on the same fixed episodes.
 
 runs = [train(agent, env, primitives=6_000, seed=0, eval_every=500, progress=False)
         for agent in (with_network, variant, own)]

@@ -1,7 +1,7 @@
-"""Your own environment, three options, an SMDP agent.
+"""Add options to your own environment.
 
-Options need no room. This tutorial writes a small Gymnasium environment, gives it three options, checks them, and
-trains an agent that chooses among them, beside a flat agent with the same budget.
+Options do not need a room. This tutorial writes a small Gymnasium environment, gives it three options and checks them.
+It then trains an agent over options and a flat agent with the same budget.
 """
 
 import gymnasium
@@ -13,9 +13,9 @@ from hrl_escape import OptionsEnv, train
 from hrl_escape.checks import check_option
 from hrl_escape.options import FunctionOption
 
-# The environment is a courier on a 12 x 12 floor. It fetches a parcel in one corner and brings it to the door in
-# another. Each move costs 1; the delivery brings 50. Its observation is what an option will see: row, column, and
-# whether it carries the parcel.
+# The environment is a courier on a 12 x 12 floor, who fetches a parcel in one corner and brings it to the door in
+# another. Each move costs 1, and the delivery earns 50. The observation is row, column, and whether the courier has the
+# parcel. Options read this observation.
 
 SIZE, PARCEL, DOOR = 12, (1, 10), (10, 2)
 MOVES = NORTH, SOUTH, WEST, EAST = range(4)
@@ -47,8 +47,8 @@ class Courier(gymnasium.Env):
         return np.array([*self.place, self.carries])
 
 
-# An option is three functions: where it may start, what it does, where it ends. Two walk to a place. The third strolls:
-# it draws its moves, from the generator that it is handed, so that a run with the same seed repeats them.
+# An option is three functions: initiation, policy and termination. Two options walk to a place. The third walks at
+# random. It draws from the generator in its arguments, so runs with the same seed are equal.
 
 
 def walk_to(goal):
@@ -71,13 +71,12 @@ fetch = FunctionOption("fetch", walk_to(PARCEL), is_at(PARCEL), initiation=lambd
 to_the_door = FunctionOption("to-the-door", walk_to(DOOR), is_at(DOOR), lambda state: not is_at(DOOR)(state))
 stroll = FunctionOption("stroll", lambda state, rng: rng.choice(MOVES), lambda state: 0.2, is_stochastic=True)
 
-# The contract can be checked. The check plays at random, starts the option where that has led, and runs it twice.
+# `check_option` tests the contract. It plays at random, starts the option in the states reached, and runs it twice.
 
 for option in (fetch, to_the_door, stroll):
     check_option(option, Courier())
 
-# `OptionsEnv` makes the SMDP. One `step` runs a primitive, or an option to its end; `info` has what an SMDP agent
-# needs.
+# `OptionsEnv` makes the SMDP. One `step` runs a primitive, or an option to its end. `info` has the transition.
 
 
 def make_env():
@@ -93,8 +92,8 @@ for name in ("stroll", "fetch", "to-the-door"):
     print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
           f"gamma^k {info['discount']:.3f}")
 
-# Any agent learns on it. The same tabular Q-learning chooses primitives in one run and decisions in the other. Both
-# have 8,000 primitives, and both are evaluated on the same five starts.
+# Any agent trains on it. The same tabular Q-learning chooses options in one run and primitives in the other. Both have
+# 8,000 primitives, and both are evaluated on the same five starts.
 
 settings = {"learning_rate": 1.0, "epsilon_steps": 4_000}
 results = []
@@ -104,9 +103,9 @@ for agent, learned_on in (("smdp-q-learning+primitives", make_env()), ("q-learni
     results.append(result)
 results[0].plot(beside=results[1:])
 
-# The options came from somebody who knows the floor. To see what learning adds, always run
-# `random-options+primitives` too, a random policy over the same choices.
+# The options contain knowledge of the floor. Always run the random policy over the same options as well
+# (`random-options+primitives`), to see what learning adds.
 
-chance = train("random-options+primitives", make_env(), primitives=8_000, seed=0, progress=False)
-print(f"random-options+primitives: mean return {chance.evaluations[-1].mean_return:.1f}")
-results[0].plot(beside=[chance, results[1]])
+random_policy = train("random-options+primitives", make_env(), primitives=8_000, seed=0, progress=False)
+print(f"random-options+primitives: mean return {random_policy.evaluations[-1].mean_return:.1f}")
+results[0].plot(beside=[random_policy, results[1]])

@@ -1,8 +1,8 @@
 """Learn from your own play.
 
-`hrl-escape play` opens a room in the browser. M and a number run a meta-action, F saves the episode as a file in the
-folder `episodes`. Here a script plays three episodes as clumsily as a first try and saves them the same way; put your
-own files in their place.
+`hrl-escape play` opens a room in the browser. M and a number run an option, and F saves the episode to the folder
+`episodes`. Here a script plays three episodes as clumsily as a first try and saves them in the same way. Replace them
+by your own files.
 """
 
 import tempfile
@@ -30,8 +30,8 @@ for number, moves in enumerate([(SECOND, TURN, FIRST, SECOND, LEAVE), (FIRST, FI
     print(f"episode {number}: return {episode.total:g}, {episode.end.value}")
     episode.close()
 
-# The files become a data set. Every move is a decision with its duration; primitives between them are decisions of one.
-# On the command line it is `hrl-escape data make mine --room paper-two-button#0 --played episodes/*.json`.
+# The files become a data set. Every move is a decision with its duration, and single primitives are decisions of
+# duration 1. On the command line: `hrl-escape data make mine --room paper-two-button#0 --played episodes/*.json`.
 
 recording = make_played_recording("mine", "paper-two-button#0", sorted(folder.glob("mine-*.json")))
 save_recording(folder / "mine.npz", recording)
@@ -41,8 +41,8 @@ print(recording)
 print("durations:", decisions.duration.tolist())
 draw_card(recording)
 
-# Cloning does what you did most often. Q-iteration puts the best parts of your episodes together: no way through the
-# room is better that consists of choices you made.
+# Behaviour cloning repeats what you did most often. Fitted Q-iteration combines the best parts of your episodes: it
+# finds the best way that consists of choices you made.
 
 for agent, settings in (("smdp-behaviour-cloning+primitives", {}), ("smdp-fitted-q+primitives", {"gamma": 0.99})):
     result = train(agent, data=data, settings={"values": "table", **settings}, eval_episodes=1)

@@ -1,7 +1,7 @@
 """Redraw a study's figure from its runs.
 
-A study keeps one line of JSON a run, so its figure can be drawn anew, and questions can be asked that it did not ask.
-Here: [which part of a hierarchy pays](../results/parts.md). Run this from a checkout, in which `studies` lies.
+A study keeps one line of JSON per run, so you can redraw its figure or ask new questions of the data. This tutorial
+redraws [which part of a hierarchy helps](../results/parts.md). Run it from a checkout, which contains `studies`.
 """
 
 import json
@@ -20,7 +20,7 @@ fresh = read_toml(folder / "study.toml")["slices"]["confirmation"]["first_seed"]
 first = [run for run in runs if run["seed"] < fresh and not run["failure"]]  # without the confirmation
 print(f"{len(first):,} runs of design {first[0]['design']}")
 
-# A run that gave up has no first escape. It stays in the median as one that takes for ever.
+# A run without an escape has no first escape. It stays in the median as infinity.
 
 ends = defaultdict(list)
 for run in first:

@@ -1,7 +1,7 @@
-"""Plan with your arm.
+"""Plan with an arm.
 
-A robot's arm comes from a catalogue, from a number of joints, or from your own URDF. This tutorial finds postures that
-reach a point, places to stand, a motion round a post, and a whole escape in which only the hand presses.
+The arm of a robot comes from a catalogue, from a number of joints, or from your own URDF. This tutorial finds postures
+that reach a point, places for the base, a motion around a post, and an escape with presses by hand.
 """
 
 from hrl_escape import RoomConfig, RoomPlanner, generate, get_preset
@@ -14,7 +14,7 @@ robot = RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=
 room = generate(RoomConfig(room=ShapeConfig(width=8, depth=8), robot=robot), seed=0)
 room
 
-# Inverse kinematics gives every posture that it finds, the farthest from joint limits first.
+# Inverse kinematics returns every posture that it finds, the farthest from joint limits first.
 
 arm = ArmPlanner(room)
 state = arm.rules.make_state(room.starts[0])
@@ -24,17 +24,17 @@ postures = arm.solve_ik(target, state)
 print(f"{len(postures)} postures, joint margin {postures[0].margin:.2f} rad, "
       f"manipulability {postures[0].manipulability:.3f}")
 
-# From where else could the base reach the same point? The map gives the share of headings.
+# The map shows, for each place of the base, the share of headings that reach the same point.
 
 arm.map_reach(target)
 
-# Motion keeps clear of everything, a post that is put beside the robot included.
+# Motion keeps clear of all solids, including a post that is added next to the robot.
 
 scene = Scene.of(room, state).add("post", Solid("cylinder", state.x + 0.8, state.y, 0.05, 0.05, height=1.5))
 cluttered = ArmPlanner(scene.instance)
 free = [posture.angles for posture in postures if cluttered.is_free(state, posture.angles.tolist())]
 path = cluttered.plan(state, free)
-print(f"{len(free)} of the postures are free beside the post; {path.checks:,} places of the arm tested on the way")
+print(f"{len(free)} of the postures are free next to the post; {path.checks:,} places of the arm tested on the way")
 scene.instance
 
 # In a room whose buttons only the hand presses, base and arm are planned together, and the plan plays itself.

@@ -1,10 +1,10 @@
 r"""SMDP Q-learning from scratch in 60 lines.
 
-Q-learning backs up r + gamma max Q(s', a'). When an action lasts k primitives, two things change: the reward becomes
-the discounted sum of the k primitive rewards, and the next value is discounted by gamma^k:
+Q-learning backs up r + gamma max Q(s', a'). If an action lasts k primitives, two things change. The reward becomes the
+discounted sum of the k primitive rewards, and the next value is discounted by gamma^k:
 
 $$
-Q(s,o) \leftarrow Q(s,o) + \alpha \left[ \sum_{i=0}^{k-1} \gamma^i r_i + \gamma^k \max_{o'} Q(s',o') - Q(s,o) \right]
+Q(s,o) \leftarrow Q(s,o) + \alpha \left[ \sum_{i<k} \gamma^i r_i + \gamma^k \max_{o'} Q(s',o') - Q(s,o) \right]
 $$
 """
 
@@ -63,7 +63,7 @@ for episode in range(EPISODES):
     if episode in (0, 1, 2, 5, 10, 20, 39):
         print(f"episode {episode:2}: return {total:5g} in {len(names)} decisions")
 
-# And without exploring:
+# Without exploration:
 
 total, names = play(seed=99, learn=False)
 print(f"greedy: return {total:g} by {', then '.join(names)}")
@@ -72,5 +72,4 @@ figure = get_figure_class()(figsize=(5.6, 2.6), layout="constrained")
 figure.add_subplot(xlabel="episode", ylabel="return while exploring").plot(returns, marker="o")
 figure
 
-# The packaged `smdp-q-learning` makes the same backup and adds decaying exploration, a seed for every draw,
-# checkpoints and evaluation on fixed episodes.
+# The packaged `smdp-q-learning` makes the same backup. It adds decaying exploration, checkpoints and evaluation.

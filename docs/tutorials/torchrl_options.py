@@ -1,8 +1,8 @@
 """TorchRL with options.
 
-If you know TorchRL, rooms with options are an environment like any other. One thing is special: a step is a decision of
-k primitives, so the next value must be discounted by gamma^k. TorchRL does that where it finds k under the key
-`steps_to_next_obs` beside the observation; `SMDPTransform` puts it there.
+In TorchRL, rooms with options are an environment like any other, with one difference: a step is a decision of k
+primitives, so the next value must be discounted by gamma^k. TorchRL does this if it finds k under the key
+`steps_to_next_obs`. `SMDPTransform` writes that key.
 """
 
 import logging
@@ -23,8 +23,7 @@ env = OptionsTorchRLEnv(ROOMS, "paper-two-button", observation="features", disco
 env.set_seed(0)
 env.rooms.get_streams().rooms.instances[0]
 
-# The policy, the loss and the replay buffer are TorchRL's own. `action_mask` keeps illegal options out of choices and
-# targets alike.
+# Policy, loss and replay buffer are TorchRL's own. `action_mask` excludes illegal options from choices and targets.
 
 actions = Categorical(len(env.rooms.action_names))
 inputs = env.observation_spec["observation"].shape[-1]
@@ -44,7 +43,7 @@ def explore(tensordict):
     return greed(actor(tensordict))
 
 
-# The collector runs 16 rooms. Rewards are discounted within each decision already.
+# The collector runs 16 rooms. Rewards are already discounted within each decision.
 
 collector = Collector(env, explore, frames_per_batch=ROOMS * 16, total_frames=ROOMS * 16 * 20,
                       postproc=SMDPTransform())
@@ -61,8 +60,8 @@ for number, data in enumerate(collector):
     if number % 5 == 4:
         print(f"{data.numel() * (number + 1):5,} decisions: {escapes:3} escapes in the last {data.numel()}")
 
-# Does it matter? An estimator that does not see the durations takes a walk of ten primitives for one step, and its
-# targets are too far from zero.
+# To see the effect, compare with an estimator that ignores durations. It counts a walk of ten primitives as one step,
+# and its targets are too far from zero.
 
 batch = replay.sample()
 batch = batch[batch["steps_to_next_obs"].squeeze(-1) >= 10]
@@ -74,7 +73,7 @@ later = ~batch["next", "terminated"]
 print(f"targets of long walks: {right[later].mean():.1f} with durations, "
       f"{wrong[later].mean():.1f} without")
 
-# How long are the decisions of the greedy policy after so little training?
+# The durations of the greedy policy's decisions after this short training:
 
 lengths = env.rollout(40, policy=actor, break_when_any_done=False)["next", "duration"]
 figure = get_figure_class()(figsize=(5.6, 2.6), layout="constrained")
@@ -82,5 +81,5 @@ figure.add_subplot(xlabel="primitives of a decision (k)", ylabel="decisions of t
     lengths.flatten().numpy(), bins=30)
 figure
 
-# The same in this project's training loop, with checkpoints, evaluations and reports, is
-# `hrl-escape train smdp-torchrl-dqn`, and `torchrl-ppo` and `torchrl-sac` beside it.
+# `hrl-escape train smdp-torchrl-dqn` trains the same agent with checkpoints, evaluations and reports.
+# `smdp-torchrl-ppo` and `smdp-torchrl-sac` are built in the same way.

@@ -1,8 +1,8 @@
-"""Best return known with given options alone, without noise, slip and physics.
+"""Best known return with given options alone, without noise, slip and physics.
 
-A search over sequences of options, each run to its end by the room's kinematics. Of planned options only those are
-followed that change the puzzle. One that changes nothing may still be a better way to the next: in 27 of 277 rooms of
-`pair` and 12 of 69 of `chain-3` it gains one to four primitives. The difference from `hrl_escape.planning.best_known`
+The search covers sequences of options, each run to its end by the room's kinematics. It follows planned options only if
+they change the puzzle. An option that changes nothing can still lead to the next one faster: in 27 of 277 rooms of
+`pair` and 12 of 69 of `chain-3` it saves one to four primitives. The difference from `hrl_escape.planning.best_known`
 is the option gap.
 """
 
@@ -36,12 +36,12 @@ _ESCAPED = "escaped"
 
 
 def best_return_with_options(instance: RoomInstance, options: str | Sequence[Option]) -> float:
-    """Best known undiscounted return with options alone, averaged over the instance's starts."""
+    """Return the best known undiscounted return with options alone, averaged over the instance's starts."""
     return float(np.mean([find_best_with_options(instance, s, options).value for s in list_start_states(instance)]))
 
 
 def find_best_with_options(instance: RoomInstance, state: RoomState, options: str | Sequence[Option]) -> BestKnown:
-    """Find a best return from one state with options alone; one above the best known return is recorded there.
+    """Find the best return from one state with options alone. A return above the best known return is recorded there.
 
     Args:
         instance: the room.
@@ -49,7 +49,7 @@ def find_best_with_options(instance: RoomInstance, state: RoomState, options: st
         options: the options, or the name of an option set.
 
     Raises:
-        UnknownNameError: there is no such option set.
+        UnknownNameError: no option set has this name.
     """
     planner = get_planner(instance)
     if options == "press":
@@ -63,8 +63,8 @@ def find_best_with_options(instance: RoomInstance, state: RoomState, options: st
 def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Option]) -> BestKnown:
     """Search over sequences of options, each run to its end by the room's kinematics.
 
-    After an option that reaches one goal by plan, states are told apart by (puzzle, option), and the cheapest is kept,
-    as in task planning; after any other option the pose counts too.
+    After an option that reaches one goal by plan, states are distinguished by (puzzle, option), and the cheapest is
+    kept, as in task planning. After any other option the pose counts too.
     """
     instance, rules = planner.instance, planner.rules
     frontier: OpenNodes[Hashable, tuple[int, RoomState]] = OpenNodes()
@@ -91,7 +91,7 @@ def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Op
 
 
 def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> tuple[RoomState, int, bool]:
-    """Run an option without noise, as far as its planning goes: the state reached, the primitives, and any escape.
+    """Run an option without noise and return the state reached, the number of primitives, and whether it escaped.
 
     Probabilistic terminations are drawn from a fixed seed.
     """

@@ -1,6 +1,6 @@
-"""Closed-loop execution: meta-actions towards a goal, each chosen from the state reached.
+"""Closed-loop execution of options towards a goal, each chosen from the state reached.
 
-It also works under noise, slip and physics, and for puzzles that take pushes.
+It supports noise, slip, physics, and puzzles with pushes.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ class ClosedLoopExecution:
     """Record of a closed-loop execution."""
 
     decisions: tuple[dict[str, Any], ...]
-    """`info["option"]` of each meta-action, with its `duration` and the fields of its `PlanningSummary`."""
+    """`info["option"]` of each decision, with its `duration` and the fields of its `PlanningSummary`."""
     states: tuple[RoomState, ...]  # states, the first one included
     rewards: tuple[float, ...]  # one a primitive
     is_reached: bool  # the goal was reached
-    end: EpisodeEnd  # how the episode ended; `STOPPED` where it can go on
+    end: EpisodeEnd  # how the episode ended; `STOPPED` if it can continue
 
     @property
     def escaped(self) -> bool:
-        """True where the robot escaped."""
+        """Return whether the robot escaped."""
         return self.end is EpisodeEnd.ESCAPED
 
 
@@ -44,11 +44,11 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
 
     Args:
         env: a flat environment, wrapped or not, within an episode.
-        goal: the goal; None to escape.
-        planner: the room's planner; None for the one that this process shares.
+        goal: the goal, or None to escape.
+        planner: the room's planner, or None for the planner that this process shares.
 
     Raises:
-        PlanningFailed: there is no way out.
+        PlanningFailed: the goal cannot be reached.
     """
     room: Any = env.unwrapped
     planner = planner or get_planner(room.instance)

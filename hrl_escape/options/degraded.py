@@ -1,6 +1,6 @@
-"""Options degraded by known amounts, for curves of learning against option quality.
+"""Options degraded by known amounts, to measure learning against option quality.
 
-All draws are functions of a seed and of the state (episode key and primitive count), so a resumed run repeats them.
+All draws are functions of a seed and the state (episode key and number of primitives), so a resumed run repeats them.
 """
 
 from __future__ import annotations
@@ -24,35 +24,38 @@ from hrl_escape.options.option_sets import DEFAULT_SET, check_option_set
 from hrl_escape.settings import Range, Settings
 
 FAILURE, STOP, _MISSING = range(3)
-"""Purposes of draws, a word of their counter: failing at the start, and stopping after a primitive."""
+"""Purposes of draws, a word of their counter: failure at the start, and early stop after a primitive."""
 
 
 @dataclasses.dataclass(frozen=True)
 class OptionDegradation(Settings):
-    """Amounts of degradation; makes a room's options, as in `OptionsEnv(env, OptionDegradation(failure=0.2))`."""
+    """Amounts of degradation.
+
+    It makes the degraded options of a room: `OptionsEnv(env, OptionDegradation(failure=0.2))`.
+    """
 
     _section = "degradation"
     failure: Annotated[float, Range(0, 1)] = 0.0
-    """Probability that an option fails at its start; it then costs one primitive."""
+    """Probability that an option fails at its start, which costs one primitive."""
     early_stop: Annotated[float, Range(0, 1)] = 0.0
     """Probability of ending after each primitive."""
     detour: Annotated[int, Range(0, 1000)] = 0
-    """Primitives wasted at the start of an option, turning left and right."""
+    """Primitives wasted at the start of an option by turning left and right."""
     latency: Annotated[float, Range(0, 60, "s")] = 0.0
-    """Sleep at the start of an option, as if planning took longer."""
+    """Seconds to sleep at the start of an option, to simulate slow planning."""
     missing: Annotated[float, Range(0, 1)] = 0.0
-    """Probability that an option is masked for ever."""
+    """Probability that an option is always masked."""
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """Seed of all draws."""
     option_set: str = DEFAULT_SET
-    """Name of the option set that is degraded."""
+    """Name of the option set to degrade."""
 
     def check(self) -> None:
-        """Refuse an unknown option set."""
+        """Check the name of the option set."""
         check_option_set(self.option_set)
 
     def __call__(self, instance: RoomInstance) -> tuple[Option, ...]:
-        """Make the room's meta-actions and degrade each."""
+        """Make the options of a room and degrade each."""
         from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
 
         options = make_meta_options(instance, self.option_set)
@@ -60,15 +63,15 @@ class OptionDegradation(Settings):
                      for option, key in zip(options, number_options(len(options)), strict=True))
 
     def degrade(self, option: Option) -> Option:
-        """Degrade one option of any kind; its draws depend on its name."""
+        """Degrade one option of any kind. Its draws depend on its name."""
         return DegradedOption(option, self, option.name)
 
     def make_key(self, key: str) -> tuple[int, int]:
-        """Key of an option's draws, two 32-bit words."""
+        """Return the key of an option's draws, two 32-bit words."""
         return self.seed, zlib.crc32(key.encode())
 
     def draw(self, key: str, purpose: int, episode: int, primitive: int) -> float:
-        """Uniform number in (0, 1) for an option and a purpose at a primitive of an episode."""
+        """Return a uniform number in (0, 1) for an option and a purpose at a primitive of an episode."""
         mask = 0xFFFFFFFF
         word, *_ = philox((primitive & mask, purpose, episode & mask, episode >> 32 & mask), self.make_key(key))
         return (word + 0.5) / 2**32
@@ -79,7 +82,7 @@ class OptionDegradation(Settings):
 
 
 class DegradedOption(Option):
-    """An option whose controller or termination is made worse on purpose; see `degrade`."""
+    """An option with a degraded policy or termination; see `OptionDegradation`."""
 
     def __init__(self, inner: Option, degradation: OptionDegradation, key: str) -> None:
         super().__init__(inner.name)
@@ -93,17 +96,17 @@ class DegradedOption(Option):
         return self.degradation.draw(self._key, purpose, state.noise_key, state.primitives)
 
     def initiation(self, state: RoomState) -> bool:
-        """True wherever the other option may start; false everywhere if it is missing."""
+        """Return whether the inner option can start; false if this option is missing."""
         return not self._is_missing and self.inner.initiation(state)
 
     def make_run(self) -> Self:
-        """Copy this option and a run of the other one."""
+        """Copy this option and a run of the inner option."""
         run = super().make_run()
         run.inner = self.inner.make_run()
         return run
 
     def start(self, state: RoomState) -> None:
-        """Sleep, then fail or begin. Raises `PlanningFailed`."""
+        """Sleep, then fail or start. Raises `PlanningFailed`."""
         super().start(state)
         if self.degradation.latency:
             time.sleep(self.degradation.latency)
@@ -124,11 +127,14 @@ class DegradedOption(Option):
             self.inner.report = self.report  # from now on its planning counts in this option's report
 
     def policy(self, state: RoomState) -> OptionAction:
-        """Follow the other option; a detour is no function of the state, so `sample_action` makes it."""
+        """Return the inner option's primitive.
+
+        Detours are not a function of the state, so `sample_action` makes them.
+        """
         return self.inner.policy(state)
 
     def sample_action(self, state: RoomState, rng: np.random.Generator) -> OptionAction:
-        """Waste the detour first, then follow the other option."""
+        """Make the detour first, then follow the inner option."""
         if self._wasted < self.degradation.detour:
             self._wasted += 1
             robot = RobotConfig() if self.instance is None else self.instance.robot
@@ -139,7 +145,7 @@ class DegradedOption(Option):
         return self.inner.sample_action(state, rng)
 
     def termination(self, state: RoomState) -> float:
-        """1 if it stops early, else the other option's probability."""
+        """Return 1 for an early stop, otherwise the inner option's probability."""
         if self._draw(STOP, state) < self.degradation.early_stop:
             return 1.0
         return self.inner.termination(state) if self._inner_runs or self.is_markov else 0.0

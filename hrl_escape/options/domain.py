@@ -1,7 +1,7 @@
-"""Domains: the view of an environment that options have. One for any Gymnasium environment, one for rooms.
+"""Domains: what options read of an environment. There is one for any Gymnasium environment, and one for rooms.
 
-`OptionsEnv` gets from its domain the state that options see, the names of the primitives, and the entries that this
-kind of environment adds to `info`. Derive from `OptionDomain` to show options more than the observation.
+A domain provides the state for options, the names of the primitives, and additional entries of `info`. Derive from
+`OptionDomain` to give options more than the observation.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hrl_escape.options.option import Option
 from hrl_escape.options.option_sets import DEFAULT_SET, OptionSetSource, check_option_set
 
 TERMINATIONS = 0x0971
-"""Distinguishes the stream of an episode's terminations from other streams of the same seed."""
+"""Key of the stream of terminations, distinct from other streams with the same seed."""
 
 
 class DomainStep(NamedTuple):
@@ -42,26 +42,26 @@ class DomainStep(NamedTuple):
 
 @runtime_checkable
 class RoomEnv(Protocol):
-    """Environment that shows its room and its full state."""
+    """Environment with a room and its full state."""
 
     @property
     def instance(self) -> RoomInstance:
-        """Instance of the room that the environment is in now."""
+        """Return the present instance of the room."""
         ...
 
     @property
     def events(self) -> Events:
-        """Events of the latest primitive."""
+        """Return the events of the latest primitive."""
         ...
 
     def get_state(self) -> RoomState:
-        """Full state at present."""
+        """Return the present full state."""
         ...
 
 
 @runtime_checkable
 class OptionLevel(Protocol):
-    """An environment of options, as one above it sees it."""
+    """An environment of options, as a higher level uses it."""
 
     action_names: tuple[str, ...]  # of its actions, in their order
     primitive_count: int  # actions that are primitives; they come first
@@ -69,9 +69,9 @@ class OptionLevel(Protocol):
 
 
 class OptionDomain:
-    """Any Gymnasium environment: options see its observation.
+    """Domain of any Gymnasium environment, whose options read the observation.
 
-    Derive from it to show them something else, and give the class to `OptionsEnv(env, options, domain=...)`:
+    Derive from it to give options another state, and pass the class to `OptionsEnv(env, options, domain=...)`:
 
         class Cells(OptionDomain):
             def get_state(self, observation):
@@ -82,7 +82,7 @@ class OptionDomain:
 
     Attributes:
         env: the same.
-        lower: the nearest environment of options below, if there is one: its actions are the primitives here.
+        lower: the nearest environment of options below, if there is one. Its actions are the primitives here.
     """
 
     def __init__(self, env: gymnasium.Env) -> None:
@@ -92,21 +92,21 @@ class OptionDomain:
 
     @property
     def level(self) -> int:
-        """Environments of options below."""
+        """Return the number of environments of options below."""
         return 0 if self.lower is None else self.lower.level + 1
 
     @property
     def subject(self) -> Any:
-        """Argument for a function that makes options: the environment itself."""
+        """Return the argument of a function that makes options: here the environment."""
         return self.env
 
     def has_left(self, subject: Any) -> bool:
-        """Return whether the subject has changed, so that its options must be made anew."""
+        """Return whether the subject has changed, so its options must be made again."""
         return False
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the primitives to choose among: of a Discrete action space their numbers, else none."""
+        """Return the names of the primitives: the numbers of a Discrete action space, otherwise none."""
         space = self._discrete
         if space is None:
             return ()
@@ -115,20 +115,20 @@ class OptionDomain:
         return tuple(str(self.make_action(index)) for index in range(int(space.n)))
 
     def make_default_options(self, option_set: str, planner: str) -> Any:
-        """Options of an environment that comes without any, or a function that makes them.
+        """Return the default options of an environment, or a function that makes them.
 
         Args:
             option_set: name of an option set.
-            planner: method of their plans, as in `RoomPlanner`.
+            planner: planning method, as in `RoomPlanner`.
 
         Raises:
-            UnsupportedError: it is no room, for which a planner makes options.
+            UnsupportedError: the environment is not a room.
         """
-        raise UnsupportedError(f"{self.env} is no room, for which a planner makes options: give "
+        raise UnsupportedError(f"{self.env} is not a room, so there are no planned options: give "
                                "OptionsEnv(env, options) a list of them")
 
     def get_state(self, observation: Any) -> Any:
-        """State that options see at present.
+        """Return the present state for options.
 
         Args:
             observation: last observation of the environment.
@@ -136,14 +136,14 @@ class OptionDomain:
         return observation
 
     def get_events(self) -> Events:
-        """Events of the latest step: none here."""
+        """Return the events of the latest step; here none."""
         return QUIET
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
-        """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
+        """Return the primitive of a decision that cannot run: the first legal one, or the action nearest to zero.
 
         Args:
-            mask: int8 (primitives,), the legal ones; empty unless the action space is Discrete.
+            mask: legal primitives, int8 (primitives,); empty unless the action space is Discrete.
         """
         space = self.env.action_space
         if self._discrete is not None:
@@ -156,18 +156,18 @@ class OptionDomain:
                                "give OptionsEnv a domain with get_idle_action")
 
     def make_action(self, index: int) -> Any:
-        """Primitive of a choice; the numbers of a Discrete space need not begin at 0."""
+        """Return the primitive of a choice. The numbers of a Discrete space can begin above 0."""
         return index if self._discrete is None else index + int(self._discrete.start)
 
     def find_choice(self, action: Any) -> int | None:
-        """Choice of a primitive; None where the action space is not Discrete."""
+        """Return the choice of a primitive, or None unless the action space is Discrete."""
         return None if self._discrete is None else int(action) - int(self._discrete.start)
 
     def check_action(self, action: Any) -> Any:
-        """Bring an option's primitive into the form that the environment takes.
+        """Convert an option's primitive to the form that the environment takes.
 
         Raises:
-            OptionError: it is none.
+            OptionError: the environment does not accept it.
         """
         space = self.env.action_space
         if self._discrete is not None:
@@ -186,7 +186,7 @@ class OptionDomain:
         return action
 
     def get_mask(self, info: Mapping[str, Any]) -> NDArray[np.int8]:
-        """Legal primitives, int8 (primitives,), by the environment's own `info["action_mask"]`; without one, all.
+        """Return the legal primitives, int8 (primitives,), from `info["action_mask"]`; all without such a key.
 
         Raises:
             StepContractError: the mask has another length.
@@ -201,27 +201,27 @@ class OptionDomain:
         return legal
 
     def make_key(self, seed: int | None) -> list[int] | None:
-        """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's.
+        """Return the key of the random stream for terminations and policies, or None to continue the last one.
 
         Args:
-            seed: of `reset`.
+            seed: seed of `reset`.
         """
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None,
                unavoidable: Sequence[str] = ()) -> None:
-        """Add the entries of this kind of environment to a decision's `info`; none here.
+        """Add the entries of this kind of environment to a decision's `info`; here none.
 
         Args:
             info: of the decision, changed in place.
-            steps: those of the decision; none at a reset.
+            steps: steps of the decision; none at a reset.
             option: the option that ran, if any.
             unavoidable: names of the targets that its plan had to press on the way.
         """
 
 
 class RoomDomain(OptionDomain):
-    """Domain of a room: options see its full state and are made for its instance; `info` marks the pressed targets.
+    """Domain of a room. Options read its full state and are made for its instance, and `info` marks pressed targets.
 
     Raises:
         UnsupportedError: a wrapper below changed the action space.
@@ -236,31 +236,31 @@ class RoomDomain(OptionDomain):
             raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
                                    f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
         self._count = 0 if self._discrete is None else int(self._discrete.n)
-        self._numbers: dict[Any, int] = {}  # of rooms, in the order in which they first appear
+        self._numbers: dict[Any, int] = {}  # of rooms, in order of first appearance
 
     @property
     def subject(self) -> RoomInstance:
-        """Instance of the room that the options act in now."""
+        """Return the present instance of the room."""
         return self.room.instance
 
     def has_left(self, subject: RoomInstance) -> bool:
-        """Return whether the present instance is another one."""
+        """Return whether the room has another instance now."""
         return self.room.instance is not subject and self.room.instance.id != subject.id
 
     @property
     def action_names(self) -> tuple[str, ...]:
-        """Names of the room's action table, or of the actions of the environment of options below."""
+        """Return the names of the room's primitives, or of the actions of the environment of options below."""
         if self.lower is not None or self._discrete is None:
             return super().action_names
         return self.room.instance.robot.actions.names
 
     def make_default_options(self, option_set: str, planner: str) -> Any:
-        """The function that makes the options of any room.
+        """Return the function that makes the options of any room.
 
         Raises:
-            UnknownNameError: there is no such option set.
+            UnknownNameError: no option set has this name.
             OptionError: the actions below are options themselves.
-            UnsupportedError: over velocities, another option set than `press`.
+            UnsupportedError: over velocities, for an option set other than `press`.
         """
         check_option_set(option_set)
         if self.lower is not None:
@@ -276,24 +276,24 @@ class RoomDomain(OptionDomain):
         return OptionSetSource(option_set, planner)
 
     def get_state(self, observation: Any) -> RoomState:
-        """Full state of the room."""
+        """Return the full state of the room."""
         return self.room.get_state()
 
     def get_events(self) -> Events:
-        """Events of the latest primitive; none above other options, whose steps are several primitives."""
+        """Return the events of the latest primitive; none above other options, whose steps are several primitives."""
         return QUIET if self.lower is not None else self.room.events
 
     def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
-        """Turn left; over options without primitives, the first legal one; over velocities, rest."""
+        """Return the primitive of a decision that cannot run: turn left, the first legal option, or zero velocity."""
         turns = self._discrete is not None and (self.lower is None or self.lower.primitive_count > 0)
         return self.room.instance.robot.actions.wait if turns else super().get_idle_action(mask)
 
     def check_action(self, action: Any) -> Any:
-        """Bring an option's primitive into the form that the room takes."""
+        """Convert an option's primitive to the form that the room takes."""
         return action if type(action) is int and 0 <= action < self._count else super().check_action(action)
 
     def make_key(self, seed: int | None) -> list[int]:
-        """Key by the state: the episode's noise key and its primitives, so that a taken-over episode has its own."""
+        """Return the key: the episode's noise key and its primitives. A restored episode has its own key."""
         state = self.room.get_state()
         return [state.noise_key, state.primitives, TERMINATIONS, *([self.level] if self.level else [])]
 
@@ -301,7 +301,7 @@ class RoomDomain(OptionDomain):
                unavoidable: Sequence[str] = ()) -> None:
         """Add the targets `pressed`, `also_pressed` and `unavoidable`, each int8 (targets,).
 
-        `instance` becomes a number, by which no agent can look up the room's graph.
+        `instance` becomes a number, which does not identify the graph of the room.
         """
         names = self.room.instance.frame.target_names
         if "instance" in info:
@@ -319,7 +319,7 @@ class RoomDomain(OptionDomain):
 
 
 def make_option_domain(env: gymnasium.Env) -> OptionDomain:
-    """Make the domain of an environment: of a room by its protocol, of any other by its observation."""
+    """Make the domain of an environment: a `RoomDomain` for rooms, otherwise an `OptionDomain`."""
     return RoomDomain(env) if isinstance(env.unwrapped, RoomEnv) else OptionDomain(env)
 
 
@@ -334,18 +334,19 @@ def _find_lower(env: gymnasium.Env) -> OptionLevel | None:
 # --- sources of options ---------------------------------------------------------------------
 
 OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
-"""Options, or a function that makes them for a room's instance, or for any other environment."""
+"""Options, or a function that makes them from a room's instance or from any other environment."""
 
 
 def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
-    """Make the options of a room's instance, or of any other environment, and check that they belong to it.
+    """Make the options of a room's instance or of any other environment, and check them.
 
-    Raises `OptionError` if two share a name, one is no option, or one was made for another room.
+    Raises:
+        OptionError: two options share a name, one is not an option, or one was made for another room.
     """
     made = tuple(source(subject) if callable(source) else source)
     for option in made:
         if not isinstance(option, Option):
-            raise OptionError(f"{option!r} is no option: derive its class from Option, or make a FunctionOption of it")
+            raise OptionError(f"{option!r} is not an Option: derive its class from Option, or make a FunctionOption")
     names = [option.name for option in made]
     if len(set(names)) < len(names):
         raise OptionError(f"option names must differ: {', '.join(names)}")

@@ -1,4 +1,4 @@
-"""Execution of one decision: an option runs, primitives are stepped, and rewards and calls are recorded."""
+"""Execution of one decision: runs an option, steps primitives, and records rewards and calls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class OptionCall(NamedTuple):
 
     @property
     def duration(self) -> int:
-        """Number of primitives that the call ran."""
+        """Return the number of primitives that the call ran."""
         return len(self.rewards)
 
 
@@ -39,19 +39,19 @@ class TraceStep(NamedTuple):
     """One step of the wrapped environment inside a decision: a primitive, or a decision of the level below.
 
     Attributes:
-        observation: observation of the wrapped environment before it.
+        observation: observation of the wrapped environment before the step.
         action: the primitive, as the wrapped environment took it.
-        reward: its reward; the sum, if the level below ran several primitives.
-        next_observation: observation after it.
-        state: what options saw before; the full state of a room.
-        next_state: the same after.
-        next_action_mask: int8 (actions,), the actions legal after it.
-        consistent: (action, beta) of the primitive itself and of every option that would have chosen it
-            here, with beta the option's probability of ending after it. Only options whose policy is a
-            function of the state are among them (see `Option.is_markov`).
-        name: of the primitive; empty where primitives have no numbers.
-        rewards: one a primitive of the lowest level.
-        trace: trace of the level below, if there is one and it traces.
+        reward: its reward, or the sum if the level below ran several primitives.
+        next_observation: observation after the step.
+        state: state for options before the step; the full state of a room.
+        next_state: state for options after the step.
+        next_action_mask: legal actions after the step, int8 (actions,).
+        consistent: (action, beta) of the primitive itself and of every option that would have chosen it here, with the
+            option's probability beta of ending after it. Only options with a policy that is a function of the state are
+            included (see `Option.is_markov`).
+        name: name of the primitive; empty if primitives have no numbers.
+        rewards: rewards, one per primitive of the lowest level.
+        trace: trace of the level below, if it traces.
     """
 
     observation: Any
@@ -76,7 +76,7 @@ class _Frame(NamedTuple):
 
 
 def read_termination(option: Option, state: Any) -> float:
-    """Probability of an option's end in a state. Raises `OptionError` where it gives no probability."""
+    """Return an option's probability of ending in a state. Raises `OptionError` outside 0 to 1."""
     given = option.termination(state)
     try:
         beta = float(given)
@@ -89,7 +89,7 @@ def read_termination(option: Option, state: Any) -> float:
 
 
 def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
-    """Bring an option's primitive into the form that the environment takes. Raises `OptionError`, with its name."""
+    """Convert an option's primitive to the form that the environment takes. Raises `OptionError` with its name."""
     try:
         return domain.check_action(action)
     except OptionError as error:
@@ -97,10 +97,9 @@ def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
 
 
 class OptionExecution:
-    """One run of an option: the stack of nested options and the rewards so far, one a primitive.
+    """One run of an option: the stack of nested options and the rewards so far, one per primitive.
 
-    Each option on the stack is a run of its own (see `Option.make_run`), so that an option may run several times at
-    once.
+    Each option on the stack is a run of its own (see `Option.make_run`), so an option can run several times at once.
     """
 
     def __init__(self, index: int, option: Option, rng: np.random.Generator) -> None:
@@ -113,7 +112,7 @@ class OptionExecution:
         self._finished, self._told = PlanningReport(), PlanningReport()
 
     def start(self, state: Any) -> None:
-        """Begin the run here, unless it has begun. May raise `PlanningFailed`; nothing then runs."""
+        """Start the run at this state, unless it has started. If it raises `PlanningFailed`, nothing runs."""
         if self._stack:
             return
         run = self.option.make_run()
@@ -125,9 +124,10 @@ class OptionExecution:
         self._stack.append(_Frame(run, state, 0))
 
     def choose(self, state: Any, domain: OptionDomain | None = None) -> Any:
-        """Next primitive, in the form of a domain if one is given; lower options are entered as the policies ask.
+        """Return the next primitive, in the form of a domain if one is given; enters lower-level options.
 
-        Raises `OptionError` if they nest too deep, or the primitive is none of that environment.
+        Raises:
+            OptionError: options nest too deep, or the environment does not accept the primitive.
         """
         while True:
             option = self._stack[-1].option
@@ -141,7 +141,7 @@ class OptionExecution:
             run.start(state)
 
     def ends_at(self, state: Any) -> bool:
-        """Draw the innermost option's termination at the state reached, then its caller's, up to the outermost."""
+        """Draw whether the innermost option ends at the state reached, then its callers."""
         while True:
             beta = read_termination(self._stack[-1].option, state)
             if beta <= 0.0 or (beta < 1.0 and self._rng.random() >= beta):
@@ -151,7 +151,7 @@ class OptionExecution:
             self._close(state, "reached")
 
     def stop(self, state: Any, ended: str) -> None:
-        """End every option that still runs."""
+        """End every running option."""
         while self._stack:
             self._close(state, ended)
 
@@ -166,7 +166,7 @@ class OptionExecution:
         self._ended.append(OptionCall(option.name, len(self._stack), first, state, tuple(self.rewards[begin:]), ended))
 
     def take_report(self) -> PlanningReport:
-        """Return the planning report of the option and all options nested in it, since the last call."""
+        """Return the planning report of the option and all nested options since the last call."""
         total = PlanningReport()
         total.add(self._finished)
         for frame in self._stack:
@@ -176,10 +176,10 @@ class OptionExecution:
 
 
 class RunningDecision:
-    """One decision while it runs: steps the wrapped environment and records the result.
+    """A running decision: steps the wrapped environment and records the result.
 
-    Rewards are one a primitive. `ended` is as in `info["option"]`, with a `reason` where planning failed. `calls` are
-    runs of options that ended in it, nested ones included, innermost first.
+    There is one reward per primitive. `ended` and `reason` are as in `info["option"]`. `calls` are the runs of options
+    that ended in the decision, innermost first.
     """
 
     def __init__(self, env: gymnasium.Env, domain: OptionDomain, observation: Any) -> None:
@@ -196,11 +196,11 @@ class RunningDecision:
 
     @property
     def is_over(self) -> bool:
-        """True once the episode has ended."""
+        """Return whether the episode has ended."""
         return self.terminated or self.truncated
 
     def do(self, action: Any) -> tuple[float, ...]:
-        """Step the wrapped environment once; returns the rewards of the primitives that ran."""
+        """Step the wrapped environment once and return the rewards of the primitives that ran."""
         before = self.state
         self.observation, reward, self.terminated, self.truncated, self.info = self._env.step(action)
         rewards = read_rewards(reward, self.info, self._env)
@@ -212,12 +212,12 @@ class RunningDecision:
 
 
 def read_rewards(reward: Any, info: Mapping[str, Any], env: gymnasium.Env) -> tuple[float, ...]:
-    """Rewards of a step of the environment below, one a primitive.
+    """Return the rewards of a step of the environment below, one per primitive.
 
-    They are in `info["rewards"]`, else in the attribute `last_rewards` of the environment or a wrapper around it.
+    They are in `info["rewards"]`, or in the attribute `last_rewards` of the environment or a wrapper around it.
 
     Raises:
-        StepContractError: it gives none for its primitives, or `reward` is not their sum.
+        StepContractError: there are none for its primitives, or `reward` is not their sum.
     """
     paid = read_payment(reward, info, "of a step below OptionsEnv")
     if paid.rewards is not None:

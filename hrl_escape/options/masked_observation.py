@@ -1,4 +1,4 @@
-"""Observations that contain the mask of legal actions, under the keys that RLlib and Tianshou read."""
+"""Observations with the mask of legal actions, under the keys of RLlib and Tianshou."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from hrl_escape.errors import ConfigError, UnsupportedSpaceError
 
 
 class MaskedObservation(gymnasium.Wrapper[dict[str, Any], int, Any, int], gymnasium.utils.RecordConstructorArgs):
-    """Dict observations that contain the mask of legal actions.
+    """Dict observations with the mask of legal actions.
 
-    An observation becomes {`key`: the observation of the environment, `mask_key`: int8 (n,), 1 where an action is
-    legal}. The mask is that of `info["action_mask"]`, which stays there. Without one, every action is legal.
+    An observation becomes {`key`: observation of the environment, `mask_key`: int8 (n,), 1 for legal actions}. The mask
+    is `info["action_mask"]`. Without this entry, every action is legal.
 
-    | library | arguments | where it reads the mask |
+    | library | arguments | reads |
     |---|---|---|
-    | RLlib | none | `obs["action_mask"]`, by its `ActionMaskingRLModule` |
-    | Tianshou 2 | `key="obs", mask_key="mask"` | `batch.obs.mask`, by its discrete Q-learning policies |
+    | RLlib | none | `obs["action_mask"]`, in its `ActionMaskingRLModule` |
+    | Tianshou 2 | `key="obs", mask_key="mask"` | `batch.obs.mask`, in its discrete Q-learning policies |
 
     Args:
         env: environment with `Discrete` actions, such as an `OptionsEnv`.
@@ -52,7 +52,7 @@ class MaskedObservation(gymnasium.Wrapper[dict[str, Any], int, Any, int], gymnas
         return self._put(observation, info), info
 
     def step(self, action: int) -> tuple[dict[str, Any], Any, bool, bool, dict[str, Any]]:
-        """Take one step; the mask is that of the state reached."""
+        """Step the environment; the mask belongs to the state reached."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._put(observation, info), reward, terminated, truncated, info
 

@@ -1,7 +1,7 @@
-"""Memory of an episode's decisions, as further numbers in the rows of the observation `objects`.
+"""Memory of an episode's decisions, as additional numbers in the rows of the observation `objects`.
 
-The dependencies between buttons are hidden, so an agent that sees only the present cannot know what it has tried. A
-summary of all decisions so far, beside each object's row, is enough for puzzles without chance.
+The dependencies between buttons are hidden, so the present observation does not show what the agent has tried. A
+summary of all decisions in each object's row suffices for deterministic puzzles.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ MEMORY_WORDS = ("failed", "recent", "rank")
 
 
 class _Memories:
-    """Outcomes that several episodes have met, and the rule by which they are noted.
+    """Memories of several episodes, and the rule that updates them.
 
-    Arrays are those of a library, `numpy` or `torch`: what is called here has one name in both. `space` is that of
-    observations with memory.
+    The code uses functions that have the same name in `numpy` and `torch`. `space` is the space of observations with
+    memory.
 
     Raises:
         UnsupportedError: observations or actions of another kind.
@@ -51,14 +51,14 @@ class _Memories:
                                 (*space.words, *MEMORY_WORDS))
         rows, sets = (count, len(space.rows)), (count, 1, len(space.rows))
         self._sets, self._failures = self._make(sets, "bool"), self._make(sets, "bool")
-        self._used = self._make((count,), "int64")  # of the sets of lit objects in which something failed
+        self._used = self._make((count,), "int64")  # number of sets of lit objects that had a failure
         self._lit_now, self._failed = self._make(rows, "bool"), self._make(rows, "bool")
         self._since, self._ranks = self._make(rows, "float64") + np.inf, self._make(rows, "float64")
-        self._most_used = 0  # no episode has used more
+        self._most_used = 0  # maximum over episodes
 
     @property
     def _library(self) -> Any:
-        """`numpy` or `torch`, by its name, so that memories can be pickled."""
+        """Return `numpy` or `torch`, looked up by name, because modules cannot be pickled."""
         return sys.modules[self._module]
 
     def _make(self, shape: tuple[int, ...], dtype: str) -> Any:
@@ -73,7 +73,10 @@ class _Memories:
         self._lit_now = where(begins, self._read_lit(observation), self._lit_now)
 
     def note(self, which: Any, action: Any, reached: Any, can_fail: bool = True) -> None:
-        """Note decisions of some episodes, bool (count,): actions (count,), and what they reached, (count, numbers)."""
+        """Note decisions of some episodes, bool (count,).
+
+        Actions are (count,), observations reached (count, numbers).
+        """
         where = self._library.where
         before, after = self._lit_now, where(which[:, None], self._read_lit(reached), self._lit_now)
         about = (self._subjects[where(which, action, 0)][:, None] == self._rows) & which[:, None]
@@ -86,7 +89,7 @@ class _Memories:
         self._failed = (self._find_sets(after)[:, :, None] & self._failures).any(axis=1)
 
     def _note_failures(self, lit: Any, failed: Any) -> None:
-        """Note what failed, bool (count, rows), with these objects lit, in the set's place or in a new one."""
+        """Note which rows failed, bool (count, rows). They are stored per set of lit objects."""
         if self._most_used == self._sets.shape[1]:
             self._most_used = int(self._used.max())
         if self._most_used == self._sets.shape[1]:
@@ -102,12 +105,12 @@ class _Memories:
         self._failures = self._library.where(place[:, :, None], still | failed[:, None], self._failures)
 
     def _find_sets(self, lit: Any) -> Any:
-        """Places at which these sets of lit objects, (count, rows), are noted, bool (count, places)."""
+        """Return where these sets of lit objects, (count, rows), are stored, bool (count, places)."""
         places = self._library.arange(self._sets.shape[1], device=self._device)
         return (self._sets == lit[:, None]).all(axis=2) & (places < self._used[:, None])
 
     def remember(self, observation: Any) -> Any:
-        """Observations of all episodes, (count, numbers), with the memory at the ends of their rows."""
+        """Return the observations of all episodes, (count, numbers), with the memory at the end of each row."""
         (rows, words), library = self._shape, self._library
         seen = observation[:, : rows * words].reshape(-1, rows, words)
         memory = library.stack([self._failed + 0.0, 1.0 / (1 + self._since), self._ranks], -1)
@@ -116,17 +119,17 @@ class _Memories:
         return library.concatenate([joined, observation[:, rows * words :]], axis=1)
 
     def _read_lit(self, observation: Any) -> Any:
-        """Read from observations which objects are lit, bool (count, rows)."""
+        """Return which objects are lit, bool (count, rows)."""
         rows, words = self._shape
         return observation[:, : rows * words].reshape(-1, rows, words)[:, :, self._lit] > 0.5
 
     def state_dict(self) -> dict[str, Any]:
-        """All memories, as NumPy arrays."""
+        """Return all memories as NumPy arrays."""
         return {name: np.asarray(self._library.asarray(getattr(self, f"_{name}"), device="cpu")).copy()
                 for name in _STATE}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore a state from `state_dict`."""
         for name in _STATE:
             setattr(self, f"_{name}", self._library.asarray(np.array(state[name]), device=self._device))
         self._most_used = self._sets.shape[1]
@@ -139,18 +142,18 @@ _ONE = np.ones(1, np.bool_)
 class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
     """Appends to each object's row a summary of the episode's decisions about it.
 
-    | word | meaning |
+    | number | meaning |
     |---|---|
-    | `failed` | 1 if a decision about it left it unlit when the same objects were lit as now |
-    | `recent` | 1 / (1 + n), n decisions since the last one about it; 0 if there was none |
-    | `rank` | 1 / (1 + n), n objects lit before it when it last came on; 0 if it never did |
+    | `failed` | 1 if a decision about it left it unlit while the same objects were lit as now |
+    | `recent` | 1 / (1 + n) for n decisions since the last one about it; 0 without one |
+    | `rank` | 1 / (1 + n) for n objects lit when it last turned on; 0 if it never did |
 
-    Rows of absent objects stay 0. A decision that ends a trial (`info["trial_ended"]`, see `SequenceEnv`) fails
-    nothing.
+    Rows of absent objects stay 0. A decision that ends a trial (`info["trial_ended"]`, see `SequenceEnv`) does not
+    count as a failure.
 
     Args:
-        env: an environment with observations in rows of objects and actions that say what they are about: an
-            `OptionsEnv` over `observation="objects"`.
+        env: an environment with observations in rows of objects and actions with an object each: an `OptionsEnv` over
+            `observation="objects"`.
 
     Raises:
         UnsupportedError: another environment.
@@ -163,34 +166,34 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         self.observation_space = self._memory.space
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, with an empty memory."""
+        """Start an episode with an empty memory."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._memory.begin(_ONE, observation[None])
         return self._memory.remember(observation[None])[0], info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Run a decision, and remember its outcome."""
+        """Run a decision and note its outcome."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._memory.note(_ONE, np.array([int(action)]), observation[None], not info.get("trial_ended", False))
         return self._memory.remember(observation[None])[0], reward, terminated, truncated, info
 
 
 class MemoryStreams:
-    """The same in many rooms at once, each at its own pace.
+    """Adds the memory of `DecisionMemory` to many rooms; each decides at its own pace.
 
     Args:
         streams: a `BatchedOptionsEnv` over `observation="objects"`.
 
     Attributes:
         observation_space: of one room, with memory.
-        observation: of all rooms, (rooms, numbers); to be read where `is_waiting`.
+        observation: of all rooms, (rooms, numbers); valid where `is_waiting`.
 
     Raises:
         UnsupportedError: another environment.
     """
 
     def __init__(self, streams: BatchedOptionsEnv) -> None:
-        import torch  # which `DecisionMemory` does without
+        import torch  # `DecisionMemory` does not need torch
 
         self._streams = streams
         self.count, self.device = streams.count, streams.device
@@ -210,22 +213,22 @@ class MemoryStreams:
 
     @property
     def action_mask(self) -> Tensor:
-        """Actions legal now, bool (rooms, actions)."""
+        """Return the legal actions, bool (rooms, actions)."""
         return self._streams.action_mask
 
     @property
     def is_waiting(self) -> Tensor:
-        """Rooms that take an action at the next step, bool (rooms,)."""
+        """Return which rooms take an action at the next step, bool (rooms,)."""
         return self._streams.is_waiting
 
     def reset(self, seeds: int) -> None:
-        """Begin all episodes anew, with empty memories; room i draws from seed + i."""
+        """Reset all rooms and empty their memories; room i draws from seed + i."""
         seen = self._streams.reset(seeds)
         self._memory.begin(self.is_waiting | True, seen)
         self.observation = self._memory.remember(seen)
 
     def step(self, action: Tensor) -> Transitions:
-        """Give waiting rooms their actions, int64 (rooms,), and remember the decisions that ended."""
+        """Step with the actions of waiting rooms, int64 (rooms,), and note the decisions that ended."""
         ended = self._streams.step(action)
         before = self._memory.remember(ended.observation)
         self._memory.note(ended.where, ended.action, ended.next_observation)
@@ -235,7 +238,7 @@ class MemoryStreams:
         return ended._replace(observation=before, next_observation=after)
 
     def make_single_env(self) -> gymnasium.Env:
-        """Make an ordinary environment of the same rooms and options, with a memory."""
+        """Make a single environment of the same rooms and options, with a memory."""
         return DecisionMemory(self._streams.make_single_env())
 
     def describe(self) -> dict[str, Any]:
@@ -243,11 +246,11 @@ class MemoryStreams:
         return self._streams.describe()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return rooms, decisions in progress and memories, as arrays."""
+        """Return rooms, running decisions and memories, as arrays."""
         return {"streams": self._streams.state_dict(), "memory": self._memory.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where `state_dict` was taken, in as many of the same rooms."""
+        """Restore a state from `state_dict`, in as many of the same rooms."""
         self._streams.load_state_dict(state["streams"])
         self._memory.load_state_dict(state["memory"])
         self.observation = self._memory.remember(self._streams.observation)

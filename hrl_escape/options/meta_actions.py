@@ -1,7 +1,8 @@
-"""Meta-actions made by a room's planner, such as `press-button-1` and `go-to-exit`, and their parts.
+"""Planned options of a room, such as `press-button-1` and `go-to-exit`.
 
-The puzzle's symbolic model defines them (Menashe and Stone 2019, section 5.3). Each follows its plan in closed loop:
-off the plan, the rest of it is replayed from the new state, and a new plan is made if it no longer reaches the goal.
+The puzzle's symbolic model defines them (Menashe and Stone 2019, section 5.3, "meta-actions"). Each follows its plan in
+closed loop. Off the plan, the rest of it is replayed from the new state, and a new plan is made if it no longer reaches
+the goal.
 """
 
 from __future__ import annotations
@@ -32,15 +33,16 @@ from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.planning.routes import is_way_open
 
 PATIENCE = 40
-"""Primitives without progress after which an option fails; more where primitives slip."""
+"""Primitives without progress until an option fails; more where primitives slip."""
 JAM, SHAKE = 8, 3
-"""Under physics: primitives without progress that count as a jam, and the random primitives of the first shake."""
+"""Under physics: primitives without progress that count as a jam, and the number of random primitives in the first
+shake."""
 PRESSING, LEAVING = 7, 9
-"""Purposes of the draws of shakes, a word of their key."""
+"""Purposes of the random numbers of shakes, a part of their key."""
 
 
 class GoalOption(Option):
-    """Option that reaches one goal of a room, by its planner."""
+    """Option that reaches one goal of a room by its planner."""
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
         super().__init__(name)
@@ -48,18 +50,18 @@ class GoalOption(Option):
         self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
 
     def initiation(self, state: RoomState) -> bool:
-        """True unless the goal is reached already or planning from here is known to fail."""
+        """Return whether the option can start: the goal is not reached, and planning from here is not known to fail."""
         return self._planner.routes.can_start(state, self.goal)
 
 
 class PlannedOption(GoalOption):
-    """Reach one goal by plan, and replan when off the plan.
+    """Option that follows a plan to one goal, and plans again when off the plan.
 
     Args:
         name: stable name.
         planner: the room's planner.
         goal: goal of the option.
-        max_replans: most plans after the first one in a run.
+        max_replans: maximum number of plans after the first one in a run.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:
@@ -71,14 +73,14 @@ class PlannedOption(GoalOption):
         self._jam = math.ceil(JAM / (1.0 - slip)) if is_rigid else self._patience + 2  # never jams
 
     def start(self, state: RoomState) -> None:
-        """Plan from here. Raises `PlanningFailed`."""
+        """Plan from this state. Raises `PlanningFailed`."""
         super().start(state)
         self._first = self._last = state
         self._plan(state)
         self._left, self._waited, self._shake = math.inf, 0, 0
 
     def policy(self, state: RoomState) -> int:
-        """Next primitive of the plan, chosen by the state that the last one really led to."""
+        """Return the next primitive of the plan, given the state that the last one led to."""
         if self._planner.routes.has_undone(self._first, state):
             raise self._planner.routes.make_failure(PlanningReason.PRECONDITION_UNMET, state, self.goal,
                                              advice="A prop was moved from its place on the way")
@@ -104,7 +106,7 @@ class PlannedOption(GoalOption):
         return self._route.primitives[self._at] if self._shake == 0 else self._draw_shake(state)
 
     def _draw_shake(self, state: RoomState) -> int:
-        """Random primitive that presses nothing, to come free of a jam between rigid bodies."""
+        """Draw a random primitive that presses nothing, to free the robot from a jam between rigid bodies."""
         self._shake -= 1
         rules, purpose = self._planner.rules, LEAVING if isinstance(self.goal, ExitGoal) else PRESSING
         for attempt in range(2 * len(rules.actions)):
@@ -115,19 +117,19 @@ class PlannedOption(GoalOption):
         return self._route.primitives[self._at]
 
     def termination(self, state: RoomState) -> float:
-        """1 once the goal is reached; a press counts at the primitive that begins the touch."""
+        """Return 1 once the goal is reached. A press counts at the primitive that begins the touch."""
         is_undone = self._planner.routes.has_undone(self._first, state)
         return float(not is_undone and is_reached(self.goal, self._last, state, self._planner.rules))
 
     def _plan(self, state: RoomState) -> None:
         self._route, self._at = self._find_route(state), 0
-        _tell_unavoidable(self, self._planner.instance, self._route)
+        _report_unavoidable(self, self._planner.instance, self._route)
 
     def _find_route(self, state: RoomState) -> Route:
         return self._planner.routes.find_route(state, self.goal, self.report)
 
     def _recover(self, state: RoomState) -> None:
-        """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
+        """Continue with the rest of the plan if it still reaches the goal from here; otherwise plan again."""
         rest = self._route.primitives[self._at + 1 :]
         route = self._planner.routes.replay(state, rest, self.goal) if rest else None
         if route is not None and set(route.also_pressed) <= set(self._route.also_pressed):
@@ -145,22 +147,22 @@ class PlannedOption(GoalOption):
 
 
 class MarkovOption(GoalOption):
-    """Reach one goal by a policy that is a function of the state: the first primitive of the shortest route from here.
+    """Option that takes the first primitive of the shortest route to one goal from every state.
 
-    The route is searched anew from every state, along the goal's cost-to-go field, and cached by pose. So a
-    primitive inside any option tells what this one would have done there, which intra-option learning needs. Noise asks
-    for no replanning. A target that is touched already is left first, then pressed again. The goal is no push, whose
-    completion one state alone does not show.
+    The route is searched from every state along the goal's cost-to-go field, and cached by pose. The policy is
+    therefore a function of the state, as intra-option learning requires, and noise needs no replanning. A target that
+    is already touched is left first and then pressed again. The goal cannot be a push, because one state alone does not
+    show its completion.
     """
 
     is_markov = True
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
         super().__init__(name, planner, goal)
-        self._settings = planner.routes.settings._replace(effort=-1)  # a shorter route may be found from the next state
+        self._settings = planner.routes.settings._replace(effort=-1)  # the next state can have a shorter route
 
     def initiation(self, state: RoomState) -> bool:
-        """True where a route leads to the goal, and the goal is not reached already."""
+        """Return whether a route leads to the goal and the goal is not reached."""
         if not super().initiation(state):
             return False
         try:
@@ -169,13 +171,13 @@ class MarkovOption(GoalOption):
             return False
 
     def policy(self, state: RoomState) -> int:
-        """First primitive of the route. Raises `PlanningFailed`."""
+        """Return the first primitive of the route. Raises `PlanningFailed`."""
         route = self._planner.routes.find_route(state, self.goal, self.report, settings=self._settings)
-        _tell_unavoidable(self, self._planner.instance, route)
+        _report_unavoidable(self, self._planner.instance, route)
         return route.primitives[0]
 
     def termination(self, state: RoomState) -> float:
-        """1 where the target is touched, a grip, release or use has been done, or the goal's region is reached."""
+        """Return 1 if the target is touched, a grip, release or use has happened, or the goal region is reached."""
         if isinstance(self.goal, PressGoal):
             return float(state.touching >> self.goal.target & 1)
         if isinstance(self.goal, GripGoal):
@@ -183,17 +185,17 @@ class MarkovOption(GoalOption):
         return float(is_reached(self.goal, state, state, self._planner.rules))
 
 
-def _tell_unavoidable(option: Option, instance: RoomInstance, route: Route) -> None:
+def _report_unavoidable(option: Option, instance: RoomInstance, route: Route) -> None:
     """Add the targets that a route has to press to the option's report."""
     names = (instance.targets[target].name for target in route.also_pressed)
     option.report.unavoidable = tuple(dict.fromkeys((*option.report.unavoidable, *names)))
 
 
 class AncestorsOption(GoalOption):
-    """Carry out an operator's missing preconditions in the cheapest order, then the operator itself.
+    """Option that carries out an operator's missing preconditions in the cheapest order, then the operator.
 
-    Operators already done are not repeated, except that the last one always runs (as in the meta-actions of the
-    published 2019 code). `parts` are the plain options for the goal of each operator.
+    Operators that are done are not repeated, except the last one, which always runs (as in the published 2019 code).
+    `parts` are the options for the goal of each operator.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, Option]) -> None:
@@ -205,7 +207,7 @@ class AncestorsOption(GoalOption):
         self._part = parts[goal]
 
     def initiation(self, state: RoomState) -> bool:
-        """True wherever the goal's own option may start, or doors block the way; the order is found at the start."""
+        """Return whether the goal's own option can start or doors block the way. `start` finds the order."""
         return self._parts[self.goal].initiation(state) or not is_way_open(self._planner.rules, state, self.goal)
 
     def start(self, state: RoomState) -> None:
@@ -214,7 +216,7 @@ class AncestorsOption(GoalOption):
         self._order = self._planner.orders.find_ancestors(state, self.goal, self.report)
 
     def policy(self, state: RoomState) -> OptionAction:
-        """Start the next part of the order, the option of the next ancestor that is not on."""
+        """Return the next part of the order: the option of the next ancestor that is not on."""
         goal = self._order.pop(0)
         self._part = self._parts[goal]
         return self._part
@@ -225,25 +227,26 @@ class AncestorsOption(GoalOption):
 
 
 class AbsentOption(Option):
-    """Option of a target that this instance lacks and others of the room configuration have: always masked."""
+    """Option of a target that this instance lacks and other rooms of the configuration have. It is always masked."""
 
     def initiation(self, state: RoomState) -> bool:
-        """Always false: the option is never available."""
+        """Return false: the option is never available."""
         return False
 
     def policy(self, state: RoomState) -> OptionAction:
-        """Raise `OptionError`, as this option can never start."""
+        """Raise `OptionError`, because this option can never start."""
         raise OptionError(f"option {self.name!r} belongs to a target that this room does not have")
 
     def termination(self, state: RoomState) -> float:
-        """Always 1: the option would end at once."""
+        """Return 1."""
         return 1.0
 
 
 def list_goals(instance: RoomInstance) -> list[Goal]:
-    """Goals of a room: presses of the targets of its frame, unless they are cells of a map; then the model's others.
+    """Return the goals of a room.
 
-    An action at every target other than a press, such as gripping, stands for the frame's other targets, too.
+    These are presses of its targets, unless they are cells of a map, and the other goals of the model. A goal other
+    than a press, such as a grip, exists for every target of the frame.
     """
     own, every = len(instance.targets), len(instance.frame.target_names)
     goals: list[Goal] = [PressGoal(i) for i in (() if isinstance(instance.puzzle, Mapped) else range(every))]
@@ -270,29 +273,33 @@ def make_meta_options(instance: RoomInstance, option_set: str = DEFAULT_SET, pla
                       ) -> tuple[Option, ...]:
     """Make the options of a room by the name of an option set.
 
-    All instances of a room configuration have the same names; the options of targets that this room lacks are masked.
+    All instances of a room configuration have options of the same names. The options of targets that a room lacks are
+    masked.
 
     Args:
         instance: the room.
-        option_set: name of an option set. Of those that ship, `press` reaches each goal only; `press-with-ancestors`
-            first carries out what the puzzle's symbolic model requires before it; `press-reactive` reaches it by a
-            policy that is a function of the state, where the goal is no push.
-        planner: the room's planner; None for the one that this process shares.
+        option_set: name of an option set. `press` reaches one goal each. `press-with-ancestors` first carries out what
+            the puzzle's symbolic model requires. `press-reactive` reaches the goal by a policy that is a function of
+            the state, except for pushes.
+        planner: the room's planner, or None for the planner that this process shares.
+
+    Returns:
+        The options, in the order of their actions.
 
     Raises:
-        UnknownNameError: there is no such option set.
+        UnknownNameError: no option set has this name.
     """
     check_option_set(option_set)
     return tuple(option_sets.get(option_set)(planner or get_planner(instance)))
 
 
 def make_presses(planner: RoomPlanner) -> tuple[Option, ...]:
-    """Reach one goal each, such as the press of one button, or the exit."""
+    """Make options that reach one goal each, such as the press of one button, or the exit."""
     return _name_objects(planner, [*_make_parts(planner).values(), PlannedOption(LEAVE, planner, ExitGoal())])
 
 
 def make_presses_with_ancestors(planner: RoomPlanner) -> tuple[Option, ...]:
-    """Carry out first what the puzzle requires before a goal, then reach the goal, as the published 2019 code does."""
+    """Make options that first carry out what the puzzle requires before their goal, as the published 2019 code does."""
     parts = _make_parts(planner)
     options = [option if isinstance(option, AbsentOption) else AncestorsOption(option.name, planner, goal, parts)
                for goal, option in parts.items()]
@@ -300,7 +307,7 @@ def make_presses_with_ancestors(planner: RoomPlanner) -> tuple[Option, ...]:
 
 
 def make_reactive_presses(planner: RoomPlanner) -> tuple[Option, ...]:
-    """Reach one goal each by a policy that is a function of the state, as intra-option learning requires."""
+    """Make options that reach one goal each by a policy that is a function of the state, for intra-option learning."""
     options = [MarkovOption(option.name, planner, goal)
                if isinstance(option, PlannedOption) and not (
                    isinstance(goal, GripGoal) and goal.action.startswith("push-")) else option
@@ -314,14 +321,14 @@ def _make_parts(planner: RoomPlanner) -> dict[Goal, Option]:
 
 
 def _name_objects(planner: RoomPlanner, options: list[Option]) -> tuple[Option, ...]:
-    """Set what each option is about."""
+    """Set the object of each option."""
     for option, goal in zip(options, [*list_goals(planner.instance), ExitGoal()], strict=True):
         option.about = name_object(goal, planner.instance)
     return tuple(options)
 
 
 def name_object(goal: Goal, instance: RoomInstance) -> str | None:
-    """Name of the object that a goal is about: a target, the prop to be pushed, or `exit`; None for a mere place."""
+    """Return the name of the object of a goal: a target, the prop to push, or `exit`, or None for a place."""
     if isinstance(goal, (PressGoal, GripGoal)):
         return instance.frame.target_names[goal.target]
     if isinstance(goal, PushGoal):

@@ -1,8 +1,7 @@
-"""Options (I, pi, beta) of Sutton, Precup and Singh (1999), and the kinds that are written down.
+"""Options (I, pi, beta) of Sutton, Precup and Singh (1999), made from functions, tables and lists.
 
-An option starts where its initiation set allows, follows its policy, and ends when its
-termination says so. `options_env.py` runs it and makes one SMDP transition of its primitives;
-options that learned are in `learned.py`, those that plan in `meta_actions.py`.
+`options_env.py` runs options and makes one SMDP transition of their primitives. Learned options are in `learned.py`,
+planned options in `meta_actions.py`.
 """
 
 from __future__ import annotations
@@ -24,23 +23,22 @@ from hrl_escape.planning.route import PlanningReport
 class Option(ABC):
     """A temporally extended action.
 
-    A state is what the domain of the environment shows: the full `RoomState` of a room, the observation of any other
-    environment, or what an `OptionDomain` of your own makes of it.
+    A state is what the domain of the environment returns: the full `RoomState` of a room, the observation of any other
+    environment, or the result of your own `OptionDomain`.
 
-    `OptionsEnv` calls `make_run` for each run. Of the object that it returns, it calls `start` once, then alternates
-    `sample_action(s)`, which asks `policy(s)`, and `termination(s')`, where s' is the state that the primitive led to.
-    An option may keep something between these calls (a plan, say). It must then be set in `start`, and `is_markov` must
-    stay false, as the policy is no function of the state: intra-option learning relies on it. The option itself holds
-    nothing of a run, so that several environments may share it.
+    `OptionsEnv` calls `make_run` for each run, and `start` once on the result. It then alternates `sample_action(s)`,
+    which calls `policy(s)`, and `termination(s')`, where s' is the state that the primitive led to. An option can keep
+    data between these calls, such as a plan. Set them in `start`, and leave `is_markov` false, because intra-option
+    learning relies on it. The option itself holds no data of a run, so several environments can share it.
 
     Attributes:
-        name: stable name: a verb, then what it is about, such as `press-button-1`.
+        name: stable name: a verb and its target, such as `press-button-1`.
         is_markov: true if policy and termination are functions of the state alone.
-        instance: the room that the option was made for; None if it suits any.
-        targets: indices of the targets it means to press; None if it makes no promise. All other targets that
-            it presses are marked in `info["also_pressed"]`.
-        about: name of the target or prop that it is about, or `exit`, as in the rows of the observation `objects`;
-            None for an option about nothing in particular.
+        instance: the room that the option was made for, or None if it suits any.
+        targets: indices of the targets that it presses on purpose, or None without a promise. Other targets that it
+            presses are marked in `info["also_pressed"]`.
+        about: name of the target or prop that it is about, or `exit`, as in the rows of the observation `objects`, or
+            None for none.
         report: planning done in the present run.
     """
 
@@ -55,52 +53,52 @@ class Option(ABC):
         self.report = PlanningReport()
 
     def initiation(self, state: Any) -> bool:
-        """Return whether the option may start here. Cheap: it is asked at every decision."""
+        """Return whether the option can start here. Called at every decision, so it must be fast."""
         return True
 
     def make_run(self) -> Self:
-        """Make the object that carries out one run: by default a shallow copy with a report of its own.
+        """Return the object that carries out one run: by default a shallow copy with its own report.
 
-        Override it where a run changes objects that are not made in `start`, such as an option inside this one.
+        Override it if a run changes objects that `start` does not create, such as an inner option.
         """
         run = copy.copy(self)
         run.report = PlanningReport()
         return run
 
     def start(self, state: Any) -> None:
-        """Begin a run here. May raise `PlanningFailed`; the decision then costs one primitive."""
+        """Start a run at this state. If it raises `PlanningFailed`, the decision costs one primitive."""
         self.report = PlanningReport()
 
     def check_actions(self, state: Any, count: int) -> None:
-        """Refuse an environment with another number of actions than the option was made for; called at each reset.
+        """Check the number of actions of the environment; called at each reset.
 
         Raises:
-            OptionError: it was made for another number; by default any will do.
+            OptionError: the option was made for another number of actions. By default any number is accepted.
         """
         del state, count
 
     @abstractmethod
     def policy(self, state: Any) -> Any:
-        """Choose a primitive, as the environment takes it, or a lower option to run to its end before asking again."""
+        """Return a primitive, as the environment takes it, or a lower-level option to run to its end."""
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
-        """Draw from a stochastic policy with the caller's generator; here the policy is deterministic."""
+        """Sample from the policy with the caller's generator. The default is the deterministic `policy`."""
         return self.policy(state)
 
     @abstractmethod
     def termination(self, state: Any) -> float:
-        """Probability beta(s') of ending at the state that was reached."""
+        """Return the probability beta(s') of ending at the state that was reached."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}>"
 
 
 OptionAction: TypeAlias = int | Option
-"""Choice of an option of a room: a primitive, or a lower option to run to its end."""
+"""Action of an option in a room: a primitive, or a lower-level option to run to its end."""
 
 
 class ScriptedOption(Option):
-    """Fixed list of primitives, run open loop."""
+    """Option that runs a fixed list of primitives, open loop."""
 
     def __init__(self, name: str, actions: Sequence[Any]) -> None:
         super().__init__(name)
@@ -110,12 +108,12 @@ class ScriptedOption(Option):
         self._done = 0
 
     def start(self, state: Any) -> None:
-        """Begin with the first primitive."""
+        """Start with the first primitive."""
         super().start(state)
         self._done = 0
 
     def policy(self, state: Any) -> Any:
-        """Next primitive of the list."""
+        """Return the next primitive of the list."""
         action = self.actions[self._done]
         self._done += 1
         return action
@@ -126,14 +124,14 @@ class ScriptedOption(Option):
 
 
 class FunctionOption(Option):
-    """Option of three functions of the state.
+    """Option made from three functions of the state.
 
     Args:
         name: stable name.
-        policy: state -> primitive or lower option; (state, generator) -> the same if it is stochastic.
+        policy: state -> primitive or lower-level option; (state, generator) -> the same if it is stochastic.
         termination: state -> probability of ending there.
-        initiation: state -> whether it may start there; None for anywhere.
-        is_stochastic: the policy draws, from the generator that it is given and from no other.
+        initiation: state -> whether the option can start there, or None for everywhere.
+        is_stochastic: whether the policy is random. It must draw from the given generator only.
     """
 
     def __init__(self, name: str, policy: Callable[..., Any], termination: Callable[[Any], float],
@@ -143,45 +141,47 @@ class FunctionOption(Option):
         self._policy, self._termination, self._initiation = policy, termination, initiation
 
     def initiation(self, state: Any) -> bool:
-        """Ask the given function; true everywhere without one."""
+        """Return the result of the given function; true without one."""
         return self._initiation is None or bool(self._initiation(state))
 
     def policy(self, state: Any) -> Any:
-        """Ask the given function.
+        """Return the result of the given function.
 
         Raises:
-            OptionError: it is stochastic, so that only `sample_action` can choose.
+            OptionError: the policy is stochastic; use `sample_action`.
         """
         if self.is_stochastic:
-            raise OptionError(f"option {self.name!r} is stochastic: ask sample_action(state, generator)")
+            raise OptionError(f"option {self.name!r} is stochastic: call sample_action(state, generator)")
         return self._policy(state)
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
-        """Ask the given function, and give it the generator if it is stochastic."""
+        """Return the result of the given function, called with the generator if it is stochastic."""
         return self._policy(state, rng) if self.is_stochastic else self.policy(state)
 
     def termination(self, state: Any) -> float:
-        """Probability by the given function."""
+        """Return the probability from the given function."""
         return float(self._termination(state))
 
     def describe(self) -> Mapping[str, Any]:
-        """Functions that identify a run over this option."""
+        """Return the functions that identify a run over this option."""
         return {"policy": self._policy, "termination": self._termination, "initiation": self._initiation,
                 "is_stochastic": self.is_stochastic}
 
 
 class TableOption(Option):
-    """Option of tables, for environments whose states are numbers or other hashable values.
+    """Option made from tables, for environments with hashable states.
 
     Args:
         name: stable name.
-        policy: state -> primitive, as a mapping or a list by number of the state; or (states, actions) probabilities,
-            with rows of 0 where the option never is.
-        termination: state -> probability of ending there, in the same form; where a mapping has no entry, 1.
-        initiation: states where it may start; None is wherever the policy has an entry and the termination is below 1.
+        policy: state -> primitive, as a mapping or a list by number of the state; or probabilities, (states, actions),
+            with rows of 0 for states without the option.
+        termination: state -> probability of ending there, in the same form. States that a mapping lacks have
+            probability 1.
+        initiation: states where the option can start, or None for all states with an entry in the policy and a
+            termination below 1.
 
     Raises:
-        OptionError: a number is no probability, or a row of the policy does not sum to 1.
+        OptionError: a probability is outside 0 to 1, or a row of the policy does not sum to 1.
     """
 
     def __init__(self, name: str, policy: Mapping[Any, Any] | Sequence[Any] | NDArray[Any],
@@ -194,24 +194,25 @@ class TableOption(Option):
             rows = {state: np.asarray(row, np.float64) for state, row in rows.items() if np.any(row)}
             wrong = [state for state, row in rows.items() if row.min() < 0 or abs(row.sum() - 1) > 1e-9]
             if wrong:
-                raise OptionError(f"option {name!r}: the probabilities in state {wrong[0]!r} are not those of a choice "
-                                  f"that is made, {rows[wrong[0]].tolist()}")
+                raise OptionError(f"option {name!r}: the probabilities in state {wrong[0]!r} must be "
+                                  f"non-negative and sum to 1, got {rows[wrong[0]].tolist()}")
         self._actions = {state: int(np.argmax(row)) if is_stochastic else row for state, row in rows.items()}
         self._rows = rows if is_stochastic and any(np.count_nonzero(row) > 1 for row in rows.values()) else {}
         self.is_markov = not self._rows
         self._beta = {state: float(beta) for state, beta in _make_table(termination).items()}
         wrong = [state for state, beta in self._beta.items() if not 0.0 <= beta <= 1.0]
         if wrong:
-            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, no probability")
+            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, which must be "
+                              "from 0 to 1")
         self._starts = frozenset(
             (state for state in self._actions if self.termination(state) < 1.0) if initiation is None else initiation)
 
     def initiation(self, state: Any) -> bool:
-        """True for a state in the table of the initiation set."""
+        """Return whether the state is in the initiation set."""
         return _make_key(state) in self._starts
 
     def policy(self, state: Any) -> Any:
-        """Primitive of this state, the likeliest one if the policy is stochastic.
+        """Return the primitive of this state, the most probable one if the policy is stochastic.
 
         Raises:
             OptionError: the table has no entry.
@@ -223,16 +224,16 @@ class TableOption(Option):
                               "there") from None
 
     def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
-        """Draw by the probabilities of this state."""
+        """Sample from the probabilities of this state."""
         action, row = self.policy(state), self._rows.get(_make_key(state))
         return action if row is None else int(rng.choice(len(row), p=row))
 
     def termination(self, state: Any) -> float:
-        """Probability of this state; 1 where the table has no entry."""
+        """Return the probability of this state; 1 if the table has no entry."""
         return self._beta.get(_make_key(state), 1.0)
 
     def describe(self) -> Mapping[str, Any]:
-        """Tables that identify a run over this option."""
+        """Return the tables that identify a run over this option."""
         return {"policy": _list_entries(self._rows or self._actions), "termination": _list_entries(self._beta),
                 "initiation": sorted(map(repr, self._starts))}
 
@@ -244,7 +245,7 @@ def _make_table(values: Mapping[Any, Any] | Sequence[Any] | NDArray[Any]) -> dic
 
 
 def _make_key(state: Any) -> Any:
-    """Key of a state: itself, or the content of an array."""
+    """Return a hashable key of a state."""
     if not isinstance(state, np.ndarray):
         return state
     array = cast("NDArray[Any]", state)

@@ -1,13 +1,13 @@
-"""Named option sets: how the options of a room are made, by name.
+"""Named option sets, which make the options of a room.
 
 | name | options |
 |---|---|
-| `press` | each reaches one goal of the room: it presses one button |
+| `press` | each reaches one goal of the room, such as the press of one button |
 | `press-with-ancestors` | each first carries out what the puzzle requires before its goal |
 | `press-reactive` | each reaches one goal by a policy that is a function of the state |
 
-An option set of your own is a function of a room's planner. Register it by `register_option_set`, or by an entry point
-in the group `hrl_escape.option_sets`.
+Your own option set is a function of a room's planner. Register it by `register_option_set`, or by an entry point in the
+group `hrl_escape.option_sets`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from hrl_escape.planning.planner import RoomPlanner
 
 OptionSet: TypeAlias = "Callable[[RoomPlanner], Sequence[Option]]"
-"""Function of a room's planner that makes its options. All rooms of one configuration get options of the same names, in
-the same order."""
+"""Function from a room's planner to its options. All rooms of one configuration get options with the same names, in the
+same order."""
 
 DEFAULT_SET = "press"
 _SHIPPED = {name: f"hrl_escape.options.meta_actions:{function}" for name, function in (
@@ -38,14 +38,14 @@ option_sets: Registry[OptionSet] = Registry("option set", "a function of a RoomP
 
 
 def register_option_set(name: str, make: OptionSet) -> None:
-    """Register an option set of your own; every `option_set=` and `--option-set` then takes its name.
+    """Register an option set. Every `option_set=` and `--option-set` then accepts its name.
 
     Args:
         name: the name.
-        make: makes the options of a room from its planner.
+        make: function from the planner of a room to its options.
 
     Raises:
-        ConfigError: the value is no function, or the name is taken.
+        ConfigError: the value is not a function, or the name is taken.
     """
     option_sets.register(name, make)
 
@@ -54,7 +54,7 @@ def check_option_set(name: str) -> None:
     """Check that an option set has this name, without loading it.
 
     Raises:
-        UnknownNameError: none has; the message names the closest.
+        UnknownNameError: no option set has this name; the message names the closest.
     """
     if not isinstance(name, str) or name not in option_sets:
         raise UnknownNameError(option_sets.kind, name, option_sets.names(),
@@ -66,7 +66,7 @@ class OptionSetSource:
     """Makes the options of any room by the name of an option set.
 
     Raises:
-        UnknownNameError: there is no such option set.
+        UnknownNameError: no option set has this name.
     """
 
     option_set: str

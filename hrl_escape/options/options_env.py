@@ -1,8 +1,7 @@
 """`OptionsEnv` turns a Gymnasium environment into a semi-MDP: one step runs one option, or one primitive.
 
-The step returns the option's reward, duration and discount (Sutton, Precup and Singh 1999, section 3). Interruptible
-options return after every primitive. This module only counts and records; the options come
-from `domain.py`, the loop inside one decision from `execution.py`.
+A step returns the option's reward, duration and discount (Sutton, Precup and Singh 1999, section 3). This module counts
+and records. The options come from `domain.py`, and the loop inside one decision is in `execution.py`.
 """
 
 from __future__ import annotations
@@ -32,100 +31,93 @@ from hrl_escape.spaces import PointingDiscrete
 
 
 class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Lets an agent choose among options and primitives; one step is one SMDP transition.
+    """Wrapper whose actions are options and primitives; one step is one SMDP transition.
 
-    The action space is a `PointingDiscrete(n)`, whose `about` names the object of each action: first the primitives
-    (unless `include_primitives` is false), then the options. Names and numbers stay for the life of the environment;
-    illegal actions are masked, by the environment's own `info["action_mask"]` too. It wraps any Gymnasium environment,
-    with any wrappers between: every primitive passes through them. In a room options see the full state, elsewhere the
-    observation (see `domain`). Where the action space is not Discrete, there are no primitives to choose.
+    It wraps any Gymnasium environment, with any wrappers between. The action space is a `PointingDiscrete(n)`: first
+    the primitives (unless `include_primitives` is false), then the options. Its `about` names the object of each
+    action. Names and numbers of actions are constant. Illegal actions are masked, also by the environment's own
+    `info["action_mask"]`. Options read the full state of a room, and the observation of any other environment (see
+    `domain`). If the action space is not Discrete, the options are the only actions.
 
-    Another `OptionsEnv` below makes a hierarchy of levels: its actions are the primitives here. Durations, discounts
-    and rewards count the primitives of the lowest level.
+    An `OptionsEnv` can wrap another: the actions of the lower level are the primitives of the upper. Durations,
+    discounts and rewards count the primitives of the lowest level.
 
-    `step(a)` returns the sum of the primitive rewards (or their discounted sum, see `discounted_reward`) and
-    adds to the last primitive's `info`:
+    `step(a)` returns the sum of the primitive rewards (or their discounted sum, see `discounted_reward`) and adds to
+    the last primitive's `info`:
 
     | key | meaning |
     |---|---|
     | `duration` | k >= 1, primitives that ran, int64 |
     | `discount` | gamma^k, float64 |
-    | `summed_reward` | sum over i < k of r_i, float64, whatever `reward` is |
-    | `discounted_reward` | sum over i < k of gamma^i r_i, float64, whatever `reward` is |
+    | `summed_reward` | sum over i < k of r_i, float64 |
+    | `discounted_reward` | sum over i < k of gamma^i r_i, float64 |
     | `pressed` | in a room: 1 for each target pressed by any of the k primitives, int8 (targets,) |
-    | `also_pressed` | in a room: 1 for each of these that the option did not mean to press, int8 (targets,) |
+    | `also_pressed` | in a room: 1 for each of these that was not the option's target, int8 (targets,) |
     | `unavoidable` | in a room: 1 for each target that the plan had to press on its way, int8 (targets,) |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
     | `option` | the option that ran and how it ended, see below |
-    | `instance` | in a room: its number among those seen here, from 0, in place of its content hash, int64 |
+    | `instance` | in a room: its number among the rooms so far, from 0, int64 |
 
-    These have the same shapes and dtypes at every step, so that recorders can stack them. `trace=True` adds three of
-    varying length:
+    These have the same shapes and dtypes at every step, and depend on no clock and no cache. `trace=True` adds three
+    entries of varying length:
 
     | key | meaning |
     |---|---|
     | `rewards` | tuple of the k primitive rewards, in order; see also `last_rewards` |
-    | `trace` | tuple of `TraceStep`, one a step of the wrapped environment |
+    | `trace` | tuple of `TraceStep`, one per step of the wrapped environment |
     | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first |
 
-    These keys replace keys of the same names that the environment below gives. `trace` and `calls` of a level below are
-    left out.
+    The keys replace equal keys of the wrapped environment. `reset` returns the same keys for an empty decision:
+    duration 0, discount 1, and an option without a name and with index -1.
 
-    Put reward wrappers below: `OptionsEnv(ClipReward(env))`, also in each copy of a vector environment. There they act
-    on every primitive. Above, or between two levels, they reach `reward` alone and not the rewards that agents learn
-    from. `train`, `evaluate` and a level above compare `reward` with `summed_reward` and `discounted_reward`, and raise
-    `StepContractError` at the first decision where it is neither. `train` and `evaluate` set `gamma` to the agent's.
+    `info["option"]` has `name`, `index` (int64), `ended` and `reason`. `ended` is `reached` (the termination fired;
+    always so for a primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` or
+    `planning-failed`. `reason` says why planning failed, and is empty otherwise.
 
-    `reset` gives the same keys, of a decision in which nothing ran: duration 0, discount 1, an option without a name
-    and with the index -1. The backup is `discounted_reward` + `discount` (1 - terminated) max over legal o' of
-    Q(s', o').
+    The backup is `discounted_reward` + `discount` (1 - terminated) max over legal o' of Q(s', o').
 
-    `info["option"]` has `name`, `index` (int64) and `ended`: `reached` (its termination fired; always so for a
-    primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` (by exit or
-    truncation) or `planning-failed`; and `reason`: why planning failed, else empty.
-
-    `info` holds nothing that depends on a clock or a cache, so two equal runs give equal infos. Planning times and
-    cache hits are in `planning_report` and `planning_total`.
+    Put reward wrappers below, `OptionsEnv(ClipReward(env))`, where they act on every primitive. Above, they change only
+    `reward`. `train`, `evaluate` and a level above compare `reward` with `summed_reward` and `discounted_reward`, and
+    raise `StepContractError` if it equals neither. `train` and `evaluate` set `gamma` to the agent's.
 
     `render` shows the state at the end of a decision. For a frame of every primitive, record below this wrapper,
-    `OptionsEnv(RecordVideo(env, folder))`, or let `render` return them: `OptionsEnv(RenderCollection(env))`.
+    `OptionsEnv(RecordVideo(env, folder))`, or use `OptionsEnv(RenderCollection(env))`.
 
-    A decision for an option that is masked or whose planning fails costs one primitive: in a room the robot turns
-    left, elsewhere see `OptionDomain.get_idle_action`.
+    A decision whose option is masked or fails to plan costs one primitive: in a room the robot turns left, elsewhere
+    see `OptionDomain.get_idle_action`.
 
     Args:
         env: the environment, wrapped or not.
-        options: the options, or a function that makes them for an instance (needed where instances are resampled) or,
-            where there is no room, for `env`; None makes the meta-actions of a room, such as
-            `press-button-1`, and `go-to-exit`.
-        include_primitives: whether primitives are actions too, where the action space is Discrete.
+        options: the options, or a function that makes them from an instance (required where instances are resampled)
+            or, without a room, from `env`. By default, the planned options of a room, such as `press-button-1` and
+            `go-to-exit`.
+        include_primitives: whether primitives are actions too, if the action space is Discrete.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         discounted_reward: return sum gamma^i r_i as the reward instead of sum r_i.
-        option_set: with `options=None`: name of an option set. `press` presses one button only, `press-with-ancestors`
-            first those that must be on before it (as the published code did), `press-reactive` one button by a
-            function of the state; see `hrl_escape.options.option_sets`.
-        interruptible: return to the agent after every primitive of an option, `ended="interrupted"`.
-            Choosing the same option again continues it; choosing another drops it. So the policy over
-            options is asked at every primitive and every duration is 1.
-        max_duration: primitives after which an option is ended (`timeout`); None for no limit.
-        trace: add `rewards`, `trace` and `calls` to `info`, with every primitive, for intra-option learning.
-        observation: `pass`, or `options` to append per option two numbers to a flat observation: 1 if it is
-            legal, 1 if it is running (see `interruptible`).
-        planner: with `options=None`: method of their plans by name, as in `RoomPlanner`: `auto`, `fields`, or a
-            path planner such as `RRTConnect`. Over velocities `auto` is OMPL's Informed RRT*, see `MotionSampler`.
-        domain: env -> its `OptionDomain`, such as a class derived from it; None for that of a room, or of any
-            environment by its observation.
+        option_set: name of the default option set. `press` presses one button, `press-with-ancestors` first the buttons
+            that must be on before it (as the published code did), `press-reactive` one button by a function of the
+            state; see `hrl_escape.options.option_sets`.
+        interruptible: return to the agent after every primitive of an option, with `ended="interrupted"`. Choosing the
+            same option again continues it, and choosing another drops it. Every duration is then 1.
+        max_duration: primitives after which an option ends with `timeout`, or None for no limit.
+        trace: add `rewards`, `trace` and `calls` to `info`, for intra-option learning.
+        observation: `pass`, or `options` to append two numbers per option to a flat observation: 1 if it is legal, 1 if
+            it is running (see `interruptible`).
+        planner: planning method of the default options, as in `RoomPlanner`: `auto`, `fields`, or a path planner such
+            as `RRTConnect`. Over velocities `auto` is OMPL's Informed RRT*, see `MotionSampler`.
+        domain: env -> its `OptionDomain`, such as a class derived from it. By default a room's domain, or the domain of
+            any environment by its observation.
 
     Attributes:
         gamma: discount per primitive; see `set_option_discount`.
         options: the options, in the order of their actions.
         action_names: names of all actions.
-        primitive_count: actions that are primitives; they come first.
-        level: environments of options below this one.
+        primitive_count: number of primitives among the actions; they come first.
+        level: number of environments of options below this one.
         last_steps: steps of the wrapped environment in the latest decision.
-        planning_report: planning behind the latest decision. In a vector environment, `get_attr("planning_report")`
-            gives one a sub-environment, from other processes too.
-        planning_total: planning behind all decisions since construction.
+        planning_report: planning of the latest decision. In a vector environment, `get_attr("planning_report")` returns
+            one per sub-environment.
+        planning_total: planning of all decisions since construction.
     """
 
     def __init__(
@@ -209,9 +201,9 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- Gymnasium ---------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `info` has the keys of a step's, of a decision in which nothing ran.
+        """Reset the environment; `info` has the keys of a step, for an empty decision.
 
-        The seed, in a room the episode's noise key, also fixes terminations and stochastic policies.
+        The seed also fixes terminations and stochastic policies.
         """
         observation, info = self.env.reset(seed=seed, options=options)
         mask = self._begin(observation, seed, info)
@@ -220,11 +212,11 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self._show(observation, mask), self._inform(-1, nothing, mask)
 
     def resume(self, observation: Any = None, info: Mapping[str, Any] = MappingProxyType({})) -> NDArray[np.int8]:
-        """Take over an episode that has already begun in the wrapped environment, instead of `reset`.
+        """Take over a running episode of the wrapped environment, instead of `reset`.
 
         Args:
-            observation: last observation of the wrapped environment; only in a room may it be left out, where it is
-                for the first step's trace.
+            observation: last observation of the wrapped environment. In a room it can be omitted; it is only used for
+                the trace.
             info: last `info` of the wrapped environment, for its `action_mask`.
 
         Returns:
@@ -266,7 +258,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self._decide(index)
 
     def idle(self, reason: str) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Run one idle primitive, the price of a masked option, for a choice that names no action.
+        """Run one idle primitive, the cost of a masked option, for a choice that names no action.
 
         `info["option"]` then has the index -1, no name and this reason.
         """
@@ -279,7 +271,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         decision.ended, decision.reason = "planning-failed", reason
 
     def _decide(self, index: int, reason: str = "") -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Carry out an action, or stand for a reason where the index is -1."""
+        """Carry out an action. If the index is -1, spend one primitive for the given reason."""
         decision = RunningDecision(self.env, self._domain, self._observation)
         if index >= self.primitive_count:
             self._run_option(index, decision)
@@ -351,7 +343,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return info
 
     def _make_trace(self, decision: RunningDecision, last_mask: NDArray[np.int8]) -> tuple[TraceStep, ...]:
-        """Add to the decision's steps each state's observation and mask as the agent would have seen them."""
+        """Add the observations and masks, as the agent would have received them, to the steps of the decision."""
         made = []
         seen = self._shown
         names = self._domain.action_names
@@ -369,13 +361,13 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     @property
     def last_rewards(self) -> tuple[float, ...]:
-        """Rewards of the primitives of the latest decision, in order."""
+        """Return the rewards of the primitives of the latest decision, in order."""
         return tuple(reward for step in self.last_steps for reward in step.rewards)
 
     # --- legal actions and observations ---------------------------------------------------
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """The legal actions at the present state, bool (n,), under the name that sb3-contrib's MaskablePPO asks for."""
+        """Return the legal actions at the present state, bool (n,), for sb3-contrib's MaskablePPO."""
         return self._compute_mask(self._domain.get_state(self._observation), self._lower_mask).astype(np.bool_)
 
     def _compute_mask(self, state: Any, lower: NDArray[np.int8]) -> NDArray[np.int8]:
@@ -388,7 +380,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return mask if mask.any() else np.ones_like(mask)  # nothing can start: any choice then costs one primitive
 
     def _show(self, observation: Any, mask: NDArray[np.int8], is_now: bool = True) -> Any:
-        """Observation for the agent: with option features, the legal options and the one that is running now."""
+        """Return the observation for the agent, with the legal and the running options if option features are on."""
         if self._features:
             running = np.zeros(len(self.options), dtype=observation.dtype)
             if self._run and is_now:
@@ -399,7 +391,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return observation
 
     def _find_consistent(self, step: DomainStep, choice: int | None) -> tuple[tuple[int, float], ...]:
-        """Actions with a Markov policy that would have chosen this primitive, with their beta."""
+        """Return the actions with a Markov policy that would have chosen this primitive, with their beta."""
         found = [(choice, 1.0)] if choice is not None and self.primitive_count else []
         for index, option in enumerate(self.options, self.primitive_count):
             if option.is_markov and option.initiation(step.state) and self._agrees(option, step):
@@ -413,14 +405,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
 def make_options_env(config: str | RoomConfig | dict[str, Any] = "paper-two-button", *, option_features: bool = False,
                      **arguments: Any) -> OptionsEnv:
-    """Make an `EscapeRoomEnv` wrapped in an `OptionsEnv`; the entry point of the ids `hrl_escape/<Preset>Options-v1`.
+    """Make an `EscapeRoomEnv` wrapped in an `OptionsEnv`; entry point of the ids `hrl_escape/<Preset>Options-v1`.
 
     Args:
         config: configuration of the room, see `EscapeRoomEnv`.
         option_features: append option features to the observation, as `OptionsEnv(observation="options")` does.
-        arguments: those of `OptionsEnv` (but `observation` and `domain`), and all others of `EscapeRoomEnv`, such as
+        arguments: arguments of `OptionsEnv` (except `observation` and `domain`) and of `EscapeRoomEnv`, such as
             `observation="features"`. With `render_mode="rgb_array_list"`, `render()` returns the frames of all
-            primitives since the last call or reset, first the one after the reset.
+            primitives since the last call or reset.
     """
     names = inspect.signature(OptionsEnv).parameters.keys() - {"env", "observation", "domain"}
     own = {name: arguments.pop(name) for name in names & arguments.keys()}

@@ -1,8 +1,8 @@
-"""Pushing a block onto a plate under rigid-body physics: closed loop, one primitive at a time.
+"""Pushes of a block onto a plate under rigid-body physics, in closed loop.
 
-A cost-to-go field over the block's places gives the side to push from next: the body must fit behind the block there,
-and a change of sides costs a drive round it. Between pushes the base drives to a place behind the block, round all
-blocks. The true motion of the block is observed after every primitive; nothing is predicted.
+A cost-to-go field over the places of the block gives the next side to push from. The body must fit behind the block
+there, and a change of sides costs a drive around it. Between pushes the base drives to a place behind the block, around
+all blocks. The block is observed after every primitive, without predictions.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ from hrl_escape.planning.route import Route
 
 CELL = 0.25
 SIDES = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
-"""Directions of pushes on the grid, as cells."""
+"""Directions of pushes on the grid, in cells."""
 CHANGE = 5.0
-"""Cost of a drive round to another side in the field, primitives."""
+"""Cost of a drive to another side in the field, in primitives."""
 ASIDE, ASKEW = 0.12, math.radians(6)
-"""Largest offset of a push from the block's centre, m, and from its direction, rad."""
+"""Largest offset of a push from the block's centre, in m, and from its direction, in rad."""
 GAPS = (0.1, 0.4, 0.7)
-"""Distances from the block at which the body may stand before a push, in moves."""
+"""Distances between body and block before a push, in moves."""
 MOST_PUSH_PRIMITIVES = 400
 DRIVES = ((3_000, False), (20_000, True))
-"""Node budget of a drive behind the block, and use of finer grids: first quickly to any place, then thoroughly."""
+"""Node budget of a drive behind the block, and whether finer grids are used: first a quick search, then a thorough
+one."""
 
 
 class _Push(NamedTuple):
@@ -62,7 +63,7 @@ class PushField:
 
     @cached_property
     def costs(self) -> NDArray[np.float64]:
-        """Cost-to-go of each cell, shape (cells,), primitives; infinity where there is no way."""
+        """Return the cost-to-go of each cell, (cells,), in primitives; infinity if unreachable."""
         (columns, rows), cells = self._grid.shape, self._grid.cells
         i, j = self._grid.list_cells().T
         points = self._grid.get_centres()
@@ -88,14 +89,14 @@ class PushField:
         return spread_waves(graph.tocsr(), seeds, weighted=True)[:cells]
 
     def get_cost(self, x: float, y: float) -> float:
-        """Cost-to-go of a place; infinity outside the floor."""
+        """Return the cost-to-go of a place; infinity outside the floor."""
         cell = self._grid.find_number(x, y)
         return float(self.costs[cell]) if cell >= 0 else math.inf
 
     def find_push(self, x: float, y: float, headings: int, others: Sequence[Footprint] = ()) -> _Push | None:
-        """Find the best next push of the block from a place, among the headings of the base.
+        """Return the best next push of the block from a place, among the headings of the base.
 
-        Neither block nor body may meet the footprints of `others`.
+        Block and body keep clear of the footprints of `others`.
         """
         step = self._instance.robot.actions.stride
         goal_x, goal_y = self.goal
@@ -126,7 +127,7 @@ class PushField:
 
 
 class PushOption(Option):
-    """Push a prop onto another one in closed loop: stand behind it, push, observe it, and repeat."""
+    """Option that pushes a prop onto another in closed loop: go behind it, push, observe, repeat."""
 
     def __init__(self, name: str, planner: RoomPlanner, goal: PushGoal) -> None:
         super().__init__(name)
@@ -140,23 +141,23 @@ class PushOption(Option):
         self._place = PoseGoal(0.0, 0.0)
 
     def initiation(self, state: RoomState) -> bool:
-        """True if the prop is not there yet and there is a way to push it."""
+        """Return whether the prop is not at its goal and can be pushed there."""
         return self.termination(state) == 0.0 and math.isfinite(self._field.get_cost(*self._get_place(state)))
 
     def start(self, state: RoomState) -> None:
-        """Forget the pushes, the route and the standing place of an earlier run."""
+        """Reset the pushes, the route and the place of an earlier run."""
         super().start(state)
         self._count, self._route, self._standing = 0, None, None
 
     def termination(self, state: RoomState) -> float:
-        """1 once the facts that the push adds hold in the puzzle."""
+        """Return 1 once the facts that the push adds hold in the puzzle."""
         return float(self._facts <= self._room.puzzle.symbolic.get_facts(state.puzzle))
 
     def _get_place(self, state: RoomState) -> tuple[float, float]:
         return get_prop_poses(state, self._room)[self.goal.prop][:2]
 
     def policy(self, state: RoomState) -> int:
-        """Push if the base stands behind the block, else drive there."""
+        """Return a push if the base is behind the block, otherwise a primitive of the drive there."""
         self._count += 1
         if self._count > MOST_PUSH_PRIMITIVES:
             raise self._planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
@@ -172,7 +173,7 @@ class PushOption(Option):
         return self._drive(state, push)
 
     def _find_push(self, state: RoomState) -> _Push | None:
-        """Best next push: round all other blocks if possible, else at least round those already in place."""
+        """Return the best next push, around all other blocks or else around those already in place."""
         for others in (list_blocks(state, self._room, without=self.goal.prop),
                        list_blocks(state, self._room, without=self.goal.prop, only_done=True), ()):
             push = self._field.find_push(*self._get_place(state), self._planner.rules.headings, others)
@@ -181,7 +182,7 @@ class PushOption(Option):
         return None
 
     def _find_pusher(self, state: RoomState, push: _Push) -> int | None:
-        """Translation that makes the push from the base's present place, by its action number; None if none does."""
+        """Return the number of the translation that makes the push from the base's present place, or None."""
         heading = self._planner.rules.get_heading(state)
         dx, dy = push.block[0] - state.x, push.block[1] - state.y
         actions = self._planner.rules.actions
@@ -200,7 +201,7 @@ class PushOption(Option):
         return None
 
     def _drive(self, state: RoomState, push: _Push) -> int:
-        """Next primitive of the drive to a place behind the block."""
+        """Return the next primitive of the drive to a place behind the block."""
         if self._route is not None and self._standing is not None:
             moved = math.hypot(push.block[0] - self._standing.block[0], push.block[1] - self._standing.block[1])
             rest = self._route.primitives[1:]

@@ -1,7 +1,7 @@
-"""Skills of a finer grain than meta-actions: go to a pose, reach a target with the hand, press a target.
+"""Skills finer than the planned options of a room: go to a pose, reach a target with the hand, press a target.
 
-They nest: a press goes to a place from which the target can be reached, and then reaches.
-With an arm the last part is joint steps alone; without one it is the primitive that touches.
+They nest: a press goes to a place within reach of the target, then reaches. With an arm the last part consists of joint
+steps; without one it is the primitive that touches.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def make_go_to(planner: RoomPlanner, goal: Goal | str, name: str | None = None) 
     """Make an option that goes to a place, as in `make_go_to(planner, "3,4,90")`, or to any other goal.
 
     Raises:
-        UnknownNameError, GoalError: no such goal in this room.
+        UnknownNameError, GoalError: the room has no such goal.
     """
     goal = parse_goal(goal, planner.instance) if isinstance(goal, str) else goal
     check_goal(goal, planner.instance)
@@ -36,17 +36,17 @@ def make_reach(planner: RoomPlanner, target: int | str) -> ReachOption:
     """Make an option that moves only the arm until the hand touches a target.
 
     Raises:
-        UnsupportedError: targets of this room are pressed with the body.
-        UnknownNameError: no such target.
+        UnsupportedError: the body presses the targets of this room.
+        UnknownNameError: no target has this name.
     """
     return ReachOption(planner, _find_target(planner, target))
 
 
 def make_press(planner: RoomPlanner, target: int | str) -> PressOption:
-    """Make an option that goes to a place from which a target can be reached, then reaches.
+    """Make an option that goes to a place within reach of a target, then reaches.
 
     Raises:
-        UnknownNameError: no such target.
+        UnknownNameError: no target has this name.
     """
     return PressOption(planner, _find_target(planner, target))
 
@@ -61,9 +61,9 @@ def _find_target(planner: RoomPlanner, target: int | str) -> int:
 
 
 class ReachOption(Option):
-    """Fewest joint steps until the hand touches the target; the base stands still.
+    """Option with the fewest joint steps until the hand touches the target, with the base at rest.
 
-    The policy is a function of the state: after noise it simply searches again.
+    The policy is a function of the state: after noise it searches again.
     """
 
     is_markov = True
@@ -79,7 +79,7 @@ class ReachOption(Option):
         self._find = lru_cache(KEPT_REACHES)(self._search)
 
     def _search(self, state: RoomState) -> tuple[int, ...]:
-        """Joint primitives from here to the touch; empty if there are none."""
+        """Return the joint primitives from this state to the touch; empty if there are none."""
         reacher = self._planner.routes.get_reacher()
         found = reacher.get_configuration(
             state.x, state.y, state.heading_steps, state.joint_steps, self._target,
@@ -90,23 +90,23 @@ class ReachOption(Option):
         return self._find(state._replace(primitives=0, noise_key=0, physics=None))
 
     def initiation(self, state: RoomState) -> bool:
-        """True if some posture touches the target and the hand does not touch it yet."""
+        """Return whether some posture touches the target and the hand does not touch it yet."""
         return not state.touching >> self._target & 1 and bool(self._get_steps(state))
 
     def policy(self, state: RoomState) -> int:
-        """First of the fewest joint steps from here."""
+        """Return the first of the fewest joint steps from this state."""
         steps = self._get_steps(state)
         if not steps:
             raise self._planner.routes.make_failure(PlanningReason.NO_POSTURE, state, PressGoal(self._target))
         return steps[0]
 
     def termination(self, state: RoomState) -> float:
-        """1 once the hand touches the target."""
+        """Return 1 once the hand touches the target."""
         return float(state.touching >> self._target & 1)
 
 
 class PressOption(Option):
-    """Press by two lower options: go to a place from which the target can be reached, then reach."""
+    """Option of two lower-level options: go to a place within reach of the target, then reach."""
 
     def __init__(self, planner: RoomPlanner, target: int) -> None:
         name = planner.instance.targets[target].name
@@ -119,12 +119,15 @@ class PressOption(Option):
         self._has_gone = self._is_last = False
 
     def start(self, state: RoomState) -> None:
-        """Begin; the first call of the policy plans."""
+        """Start a run; the first call of the policy plans."""
         super().start(state)
         self._has_gone = self._is_last = False
 
     def policy(self, state: RoomState) -> OptionAction:
-        """Go to the last place of the base in the plan; from there reach, or press by plan if noise led elsewhere."""
+        """Go to the last place of the base in the plan.
+
+        From there reach, or press by plan if noise led elsewhere.
+        """
         route = self._planner.routes.find_route(state, self._goal, self.report)
         by_arm = [p not in self._planner.rules.actions.base for p in route.primitives]
         going = [p for p, arm in zip(route.primitives, by_arm, strict=True) if not arm]

@@ -1,10 +1,10 @@
-"""Rooms with options as TorchRL environments, and the transform by which TorchRL's losses see durations.
+"""Rooms with options as TorchRL environments, and a transform that passes durations to TorchRL's losses.
 
     env = OptionsTorchRLEnv(64, "paper-two-button")
     data = Collector(env, policy, ..., postproc=SMDPTransform())
 
-TorchRL's value estimators discount by gamma to the power of `steps_to_next_obs` beside the observation, and ignore the
-same key under `next`. An environment can only know a decision's duration after it, so `SMDPTransform` brings it there.
+TorchRL's value estimators discount by gamma to the power of `steps_to_next_obs` at the root of the data, and ignore
+this key under `next`. An environment returns a duration with the next observation, so `SMDPTransform` copies it.
 """
 
 from __future__ import annotations
@@ -24,17 +24,21 @@ DURATION, STEPS = "duration", "steps_to_next_obs"
 
 
 class OptionsTorchRLEnv(BatchTorchRLEnv[OptionsVectorEnv]):
-    """Many rooms in which a step is one decision of each; see `OptionsEnv` for the task and the actions.
+    """Batch of rooms with one decision per room and step; see `OptionsEnv` for the task and the actions.
 
-    It is batch-locked. Keys, all with the batch size (num_envs,) in front: `observation` (float32), `action_mask`
-    (bool, one an action), `action` (int64, categorical), `duration` (int64, 1: primitives of the decision that led
-    here, 0 after a reset), `reward` (float32, 1: the discounted sum of the decision's rewards), `done`, `terminated`
-    and `truncated` (bool, 1). Rooms are seeded as in `BatchTorchRLEnv`.
+    It is batch-locked. Rooms are seeded as in `BatchTorchRLEnv`. All keys have the batch size (num_envs,) in front:
+
+    - `observation`: float32
+    - `action_mask`: bool (actions,)
+    - `action`: int64, categorical
+    - `duration`: int64 (1,), primitives of the decision that led here, 0 after a reset
+    - `reward`: float32 (1,), the discounted sum of the decision's rewards
+    - `done`, `terminated`, `truncated`: bool (1,)
 
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
-        arguments: all other arguments of `BatchedOptionsEnv`, such as `discount`, `observation` and `device`.
+        arguments: further arguments of `BatchedOptionsEnv`, such as `discount`, `observation` and `device`.
 
     Attributes:
         rooms: the rooms as a Gymnasium `VectorEnv`.
@@ -54,14 +58,14 @@ class OptionsTorchRLEnv(BatchTorchRLEnv[OptionsVectorEnv]):
 
 
 class SMDPTransform(Transform):
-    """Write the duration of each decision where TorchRL's value estimators look for it: `steps_to_next_obs`.
+    """Copies the duration of each decision to `steps_to_next_obs`, where TorchRL's value estimators read it.
 
-    For data: as `postproc` of a collector or `transform` of a replay buffer, not around an environment. With it
-    `DQNLoss`, `DiscreteSACLoss`, `GAE` and their like discount decisions of k primitives by gamma^k, whatever
-    environment of options they come from. Their reward must be the discounted sum over the decision, at the same gamma.
+    Use it on data: as `postproc` of a collector or `transform` of a replay buffer. `DQNLoss`, `DiscreteSACLoss`, `GAE`
+    and other losses then discount decisions of k primitives by gamma^k. The reward must be the discounted sum over the
+    decision, at the same gamma.
 
     Args:
-        duration: key under `next` that holds the number of primitives, int (..., 1).
+        duration: key under `next` with the number of primitives, int (..., 1).
     """
 
     def __init__(self, duration: str = DURATION) -> None:

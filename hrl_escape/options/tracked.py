@@ -1,4 +1,4 @@
-"""Options over velocities: a trajectory to each goal, driven step by step in the continuous environment."""
+"""Options over velocities: a trajectory to each goal, tracked step by step in the continuous environment."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
     from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 
 MOST_TRIES = 5
-"""Trajectories that one run of an option may drive."""
+"""Maximum number of trajectories in one run of an option."""
 HEADROOM = 0.9
 """Share of the environment's largest velocities that a trajectory uses; the rest is for feedback."""
 
 
 class TrackedOption(GoalOption):
-    """Reach one goal by a trajectory; where it ends short of the goal, by another from there.
+    """Option that reaches one goal by a trajectory, and by another if the first ends short of it.
 
-    Trajectories keep the limits; the environment's step takes `time_step` seconds. The sampler finds them first;
-    without one all are those of plans of primitives.
+    Trajectories keep the limits, and a step of the environment takes `time_step` seconds. The sampler plans them;
+    without a sampler they follow plans of primitives.
     """
 
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal, limits: MotionLimits, time_step: float,
@@ -44,7 +44,7 @@ class TrackedOption(GoalOption):
         self._sampler, self._limits, self._time_step = sampler, limits, time_step
 
     def start(self, state: RoomState) -> None:
-        """Plan from here. Raises `PlanningFailed`."""
+        """Plan from this state. Raises `PlanningFailed`."""
         super().start(state)
         self._last, self._tries = state, 0
         self._plan(state)
@@ -57,7 +57,7 @@ class TrackedOption(GoalOption):
         self._tracker = Tracker(self._find_trajectory(state), self._planner.rules, self._time_step, state)
 
     def _find_trajectory(self, state: RoomState) -> TimedTrajectory:
-        """The sampler's trajectory, if there is a sampler and it finds one; else that of a plan of primitives."""
+        """Return the sampler's trajectory if it finds one, otherwise the trajectory of a plan of primitives."""
         try:
             if self._sampler is not None:
                 return self._sampler.plan(state, self.goal)
@@ -71,7 +71,7 @@ class TrackedOption(GoalOption):
                                                     nearest=str(error)) from None
 
     def policy(self, state: RoomState) -> NDArray[Any]:
-        """Velocities of the next step."""
+        """Return the velocities of the next step."""
         if state is not self._last:
             self._tracker.see(state)
         if self._tracker.is_done:
@@ -80,28 +80,28 @@ class TrackedOption(GoalOption):
         return self._tracker.choose()
 
     def termination(self, state: RoomState) -> float:
-        """1 once the goal is reached; a press counts at the step that begins the touch."""
+        """Return 1 once the goal is reached. A press counts at the step that begins the touch."""
         return float(is_reached(self.goal, self._last, state, self._planner.rules))
 
 
 @dataclasses.dataclass(frozen=True)
 class TrackedSource:
-    """Makes the tracked meta-actions of any room, for one continuous environment's velocities and step of time."""
+    """Makes the tracked options of any room, for one continuous environment's velocities and time step."""
 
     limits: MotionLimits
     time_step: float
     planner: str = "auto"
-    """`auto`: by OMPL and Pinocchio (`MotionSampler`); another of OMPL's planners by name for the base's way; `fields`
-    or `corridor`: trajectories of plans of primitives, which are shorter and found sooner."""
+    """`auto` uses OMPL and Pinocchio (`MotionSampler`); the name of another OMPL planner sets the planner of the base.
+    `fields` or `corridor` use trajectories of plans of primitives, which are found sooner."""
 
     @classmethod
     def of(cls, env: EscapeRoomContinuousEnv, planner: str) -> TrackedSource:
-        """The source for an environment, within `HEADROOM` of its velocities."""
+        """Make the source for an environment, within `HEADROOM` of its velocities."""
         speeds = {name: HEADROOM * getattr(env.velocities, name) for name in ("speed", "turn_speed", "joint_speed")}
         return cls(MotionLimits(**speeds), env.velocities.time_step, planner)
 
     def __call__(self, instance: RoomInstance) -> Sequence[Option]:
-        """The meta-actions of a room: one a press, grip or push, named like its goal, and last `go-to-exit`."""
+        """Make the options of a room: one per press, grip or push, named like its goal, and `go-to-exit`."""
         planner, way = get_planner(instance, self.planner if self.planner in METHODS else "auto"), self.planner
         check_method(way)
         sampler = None if way in METHODS and way != "auto" else MotionSampler(

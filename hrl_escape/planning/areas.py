@@ -58,7 +58,7 @@ def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
         half_x, half_y = (region.x_max - region.x_min) / 2, (region.y_max - region.y_min) / 2
         return Area(make_footprint(region.x_min + half_x, region.y_min + half_y, half_x, half_y), 0.0)
     assert isinstance(goal, PushGoal)
-    raise UnsupportedError("a push is no goal of a path: plan to a PoseGoal behind the block, then drive on")
+    raise UnsupportedError("a push is not a goal of a path: plan to a PoseGoal behind the block, then drive on")
 
 
 def get_presser(goal: Goal, instance: RoomInstance) -> Presser:

@@ -1,8 +1,9 @@
-"""Best known return of a room, the reference by which scores are normalised.
+"""Best known return of a room, the reference that normalises scores.
 
-It is the return of the best plan of primitives that the planners find, until an agent beats it. That of given options
-is computed in `hrl_escape.options.best_with_options`, so that a result's distance from the best splits into an option
-gap and a learning gap. Where moves err or slip, `compute_expected_escape` says what the planner can expect.
+It is the return of the best plan of primitives that the planners find, until an agent finds a better one.
+`hrl_escape.options.best_with_options` computes the best return with given options, which splits the distance from the
+best into an option gap and a learning gap. Where moves err or slip, `compute_expected_escape` returns what the planner
+can expect.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Pose, get_pose
 
 MOST_STARTS = 32
-"""Most starts of an instance that are used."""
+"""Maximum number of starts of an instance that are used."""
 ORDERS = 3
-"""Number of orders of the puzzle's operators planned in detail."""
+"""Number of operator orders that are planned in detail."""
 JOINT_NODES = 1_000_000
-"""Search nodes of the joint search for a best known plan, some two seconds at most."""
+"""Search nodes of the joint search for a best known plan, about two seconds at most."""
 
 
 class BestKnown(NamedTuple):
@@ -41,9 +42,9 @@ class BestKnown(NamedTuple):
     Attributes:
         value: undiscounted return.
         source: its origin: `planner`, `options`, or the source given to `record_return`.
-        upper_bound: bound by geometry alone that no return exceeds.
-        primitives: length of the episode with this return; None if no escape is known.
-        plan: the plan with this return; None if no escape is known, or an agent reached the return.
+        upper_bound: upper bound of every return, from geometry alone.
+        primitives: length of the episode with this return, or None if no escape is known.
+        plan: the plan with this return, or None if no escape is known or an agent reached the return.
     """
 
     value: float
@@ -54,14 +55,16 @@ class BestKnown(NamedTuple):
 
 
 def best_known_return(instance: RoomInstance, *, state: RoomState | None = None) -> float:
-    """Return the best known return of a room, without noise, slip and physics, by a puzzle's most likely outcomes.
+    """Return the best known return of a room without noise, slip and physics.
+
+    A random puzzle has its most probable outcomes.
 
     Args:
         instance: the room.
-        state: first state of the episode; None for the mean over the instance's starts.
+        state: first state of the episode, or None for the mean over the instance's starts.
 
     Returns:
-        Undiscounted return; `horizon` times the step's reward if no escape is known.
+        Undiscounted return; `horizon` times the reward of a step if no escape is known.
     """
     if state is not None:
         return find_best_known(instance, state).value
@@ -69,7 +72,10 @@ def best_known_return(instance: RoomInstance, *, state: RoomState | None = None)
 
 
 def list_start_states(instance: RoomInstance) -> list[RoomState]:
-    """The instance's start states: its first `MOST_STARTS` starts, or as many pairs with the puzzle's first states."""
+    """Return the instance's start states.
+
+    These are its first `MOST_STARTS` starts, or as many pairs with the puzzle's first states.
+    """
     rules, puzzles = get_planner(instance).rules, instance.puzzle.list_starts()
     states = [rules.make_state(start) for start in instance.starts[:MOST_STARTS]]
     if len(puzzles) == 1:
@@ -81,9 +87,9 @@ def list_start_states(instance: RoomInstance) -> list[RoomState]:
 def find_best_known(instance: RoomInstance, state: RoomState) -> BestKnown:
     """Find the best known return from one state, with its source, its plan and an upper bound.
 
-    It is the best of all known ways: legs one by one in several orders (that of a press with its ancestors among
-    them), a joint search for a shorter escape over all orders and over the poses in which legs end (with six buttons
-    or fewer; with more, along the best of these orders), and returns that agents or given options have reached.
+    It is the best of legs planned one by one in several orders, a joint search for a shorter escape over orders and
+    poses (with more than six buttons, along the best of these orders), and returns that agents or given options have
+    reached.
 
     Args:
         instance: the room.
@@ -102,7 +108,7 @@ def find_best_known(instance: RoomInstance, state: RoomState) -> BestKnown:
 
 
 def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnown) -> None:
-    """Record a better return than the best known one, as found by a search over given options."""
+    """Record a return above the best known one, found by a search over given options."""
     known = find_best_known(instance, state)
     if found.value > known.value:
         with _LOCK:
@@ -110,9 +116,9 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
 
 
 def record_return(instance: RoomInstance, state: RoomState, value: float, source: str) -> bool:
-    """Record a return that beats the best known one, in this process, and warn.
+    """Record a return above the best known one in this process, and warn.
 
-    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
+    Rooms with noise, slip, physics or a random puzzle keep their value, because a lucky episode is not a reference.
 
     Args:
         instance: the room.
@@ -121,7 +127,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         source: its origin, such as `dqn, seed 3`.
 
     Returns:
-        True if it was better; it is kept while the state is among the last `MOST_REMEMBERED`.
+        Whether it was better. It is kept while the state is among the last `MOST_REMEMBERED`.
     """
     dynamics = instance.dynamics
     if dynamics.is_random or dynamics.kind == "physics" or instance.puzzle.is_random:
@@ -130,26 +136,26 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     if value <= known.value + 1e-9:
         return False
     step = instance.reward.step
-    is_told = step and not instance.has_extra_reward  # without noise an episode's length follows from its return
-    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
+    follows = step and not instance.has_extra_reward  # without noise an episode's length follows from its return
+    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if follows else None
     with _LOCK:
         _remember(instance, state, BestKnown(value, source, known.upper_bound, primitives))
     warnings.warn(
         f"{source} reached a return of {value:g} in room {instance.id} from ({state.x:.2f}, {state.y:.2f}), where "
-        f"{known.value:g} was the best known (by {known.source}). Scores of this room are normalised anew",
+        f"{known.value:g} was the best known (by {known.source}). Scores of this room are now normalised by it",
         stacklevel=2,
     )
     return True
 
 
 MOST_REMEMBERED = 512
-"""First states whose best known returns stay, with their plans; the least recently asked for goes."""
+"""Number of first states whose best known returns and plans are kept; the least recently used is dropped."""
 _KNOWN: OrderedDict[tuple[str, Pose, Hashable], BestKnown] = OrderedDict()
 _LOCK = threading.RLock()
 
 
 def _remember(instance: RoomInstance, state: RoomState, found: BestKnown) -> None:
-    """Keep what is known of a state as the latest; the caller holds the lock."""
+    """Store the knowledge of a state as the most recent. The caller holds the lock."""
     key = (instance.id, get_pose(state), state.puzzle)
     _KNOWN[key] = found
     _KNOWN.move_to_end(key)
@@ -158,19 +164,19 @@ def _remember(instance: RoomInstance, state: RoomState, found: BestKnown) -> Non
 
 
 def compute_worst_return(instance: RoomInstance) -> float:
-    """Return of an episode that never escapes."""
+    """Return the return of an episode without an escape."""
     return instance.horizon * instance.reward.step
 
 
 def compute_escape_return(instance: RoomInstance, primitives: float) -> float:
-    """Return of an escape after a number of primitives; that of never escaping if the horizon comes first."""
+    """Return the return of an escape after a number of primitives, or of no escape if the horizon comes first."""
     if primitives > instance.horizon:
         return compute_worst_return(instance)
     return instance.reward.step * (primitives - 1) + instance.reward.on_exit
 
 
 def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestKnown:
-    """Best return by plans; jointly, legs are planned together, over all orders, else one by one, as options do."""
+    """Return the best return by plans, with legs planned jointly over all orders, or one by one as options do."""
     instance = planner.instance
     bound = compute_escape_return(instance, bound_escape(instance, state))
     try:
@@ -185,11 +191,11 @@ def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestK
 
 
 ROLLOUTS = 20
-"""Rollouts behind an expectation."""
+"""Number of rollouts for an expectation."""
 
 
 class Replanner:
-    """Policy that follows the best known plan and replans the next leg when the robot is off the plan."""
+    """Policy that follows the best known plan, and plans the next leg again when the robot is off the plan."""
 
     def __init__(self, instance: RoomInstance) -> None:
         self._instance = instance
@@ -199,7 +205,7 @@ class Replanner:
         self._puzzle: Hashable = None
 
     def choose(self, state: RoomState, begins: bool) -> int | None:
-        """Next primitive, by its action number; None if no plan escapes from here."""
+        """Return the number of the next primitive, or None if no plan escapes from this state."""
         if begins or self._plan is None or not self._find_place(self._plan, state):
             self._plan, self._next = self._make_plan(state, begins), 0
         if self._plan is None or self._next >= len(self._plan.primitives):
@@ -223,7 +229,7 @@ class Replanner:
             if begins:
                 self._order = ()
                 return find_best_known(self._instance, state).plan
-            if not self._order or state.puzzle != self._puzzle:  # after a press another order may be the best
+            if not self._order or state.puzzle != self._puzzle:  # after a press another order can be the best
                 self._order, self._puzzle = planner.order_goals(state), state.puzzle
             return planner.plan_onward(state, self._order)
         except EscapeError:
@@ -239,9 +245,9 @@ class ExpectedEscape(NamedTuple):
 
 
 def compute_expected_escape(instance: RoomInstance, state: RoomState, rollouts: int = ROLLOUTS) -> ExpectedEscape:
-    """Compute the planner's expected escape from one state, by rollouts with their own noise, without physics.
+    """Return the planner's expected escape from one state, by rollouts with noise, without physics.
 
-    The noise follows from the room and the rollout's number, so the numbers are the same every time.
+    The noise depends on the room and the number of the rollout, so the numbers are reproducible.
     """
     rules = Kinematics(instance)
     stream = int.from_bytes(hashlib.sha256(f"rollouts of {instance.id}".encode()).digest()[:8], "big") >> 1

@@ -1,7 +1,7 @@
-"""Goals of planners: frozen, hashable values, so that plans can be cached by goal.
+"""Goals of planners: frozen, hashable values, by which plans are cached.
 
-A goal does not prescribe how it is reached. Positions are those of the body's axis in the room frame,
-metres; headings are radians, counter-clockwise from +x.
+A goal does not prescribe how it is reached. Positions are of the body's axis in the room frame, in m; headings are in
+rad, counter-clockwise from +x.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
 @dataclasses.dataclass(frozen=True)
 class PressGoal:
-    """Begin to touch a target, by its index; one already in contact must be left first."""
+    """Begin to touch a target, given by its index. A target that is already touched must be left first."""
 
     target: int
 
 
 @dataclasses.dataclass(frozen=True)
 class ExitGoal:
-    """Bring the body's axis into the exit's rectangle, with the puzzle solved or not."""
+    """Bring the body's axis into the rectangle of the exit, with the puzzle solved or not."""
 
 
 @dataclasses.dataclass(frozen=True)
 class PoseGoal:
-    """Stand at a place, at a given heading or any.
+    """Be at a place, with a given heading or any.
 
     Attributes:
         x: position, m.
         y: position, m.
-        heading: direction, rad; None for any.
-        tolerance: largest distance from (x, y), m. Primitives are long: a small tolerance may be unreachable.
+        heading: direction, rad, or None for any.
+        tolerance: largest distance from (x, y), m. Primitives are long, so a small tolerance can be unreachable.
         heading_tolerance: largest angle from `heading`, rad.
     """
 
@@ -52,7 +52,7 @@ class PoseGoal:
 
 @dataclasses.dataclass(frozen=True)
 class RegionGoal:
-    """Bring the body's axis into a closed rectangle; metres."""
+    """Bring the body's axis into a closed rectangle, in m."""
 
     x_min: float
     x_max: float
@@ -62,7 +62,7 @@ class RegionGoal:
 
 @dataclasses.dataclass(frozen=True)
 class PushGoal:
-    """Push one prop onto another, by their indices (physics dynamics)."""
+    """Push one prop onto another, given by their indices (physics dynamics)."""
 
     prop: int
     destination: int
@@ -73,9 +73,9 @@ GripAction = Literal["grip", "release", "use", "push-east", "push-north", "push-
 
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, release or use at a target, or push it on a map, with the effect in the puzzle's symbolic model.
+    """Grip, release or use a target, or push it on a map, with the effect in the puzzle's symbolic model.
 
-    It is done while touching the target; in a puzzle with a map, from the cell before it.
+    It happens while touching the target; in a puzzle with a map, from the cell before it.
 
     Attributes:
         target: index of the target.
@@ -89,13 +89,13 @@ class GripGoal:
 LEAVE = "go-to-exit"
 """Name of the goal that leaves the room."""
 FARTHEST = 1e6
-"""Bound of a goal's numbers, m or rad; larger ones are refused as infinite."""
+"""Largest size of a goal's numbers, m or rad; larger ones are rejected as infinite."""
 
 Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal | GripGoal
 
 
 def check_goal(goal: Goal, instance: RoomInstance) -> None:
-    """Check that a value is a goal, and one of this room. Raises `GoalError`, which says what would be valid."""
+    """Check that a value is a goal of this room. Raises `GoalError`, which says what is valid."""
     if isinstance(goal, PressGoal):
         _check_index("target", goal.target, len(instance.targets))
     elif isinstance(goal, GripGoal):
@@ -111,14 +111,14 @@ def check_goal(goal: Goal, instance: RoomInstance) -> None:
         heading = 0.0 if goal.heading is None else goal.heading
         if not (all(map(_is_finite, (goal.x, goal.y, heading, goal.tolerance, goal.heading_tolerance)))
                 and goal.tolerance >= 0.0 and goal.heading_tolerance >= 0.0):
-            raise GoalError(f"{show_value(goal)} is no place: finite numbers, and tolerances of at least 0")
+            raise GoalError(f"{show_value(goal)} must have finite numbers and tolerances of at least 0")
     elif isinstance(goal, RegionGoal):
         if not (all(map(_is_finite, (goal.x_min, goal.x_max, goal.y_min, goal.y_max)))
                 and goal.x_min <= goal.x_max and goal.y_min <= goal.y_max):
-            raise GoalError(f"{show_value(goal)} is no region: finite numbers, x_min <= x_max and y_min <= y_max")
+            raise GoalError(f"{show_value(goal)} must have finite numbers, x_min <= x_max and y_min <= y_max")
     elif not isinstance(goal, ExitGoal):
-        raise GoalError(f"{show_value(goal)} is no goal: a PressGoal, ExitGoal, PoseGoal, RegionGoal, PushGoal or "
-                        "GripGoal, or its text")
+        raise GoalError(f"{show_value(goal)} is not a goal: give a PressGoal, ExitGoal, PoseGoal, RegionGoal, PushGoal "
+                        "or GripGoal, or its text")
 
 
 def _check_index(kind: str, index: Any, count: int) -> None:
@@ -132,17 +132,17 @@ def _is_finite(value: Any) -> bool:
 
 
 def parse_goal(text: str, instance: RoomInstance) -> Goal:
-    """Read a goal from its name, which is that of the option that reaches it.
+    """Parse a goal from its name, which is the name of the option that reaches it.
 
     Args:
-        text: `press-button-2`, `go-to-exit`, `grip-red`, `release-red` or `use-red` to do so at a target,
-            `push-east-box-1` to push a target one cell, `push-block-to-plate` to push one prop onto another; or a
-            place `x,y`, or a pose `x,y,heading_deg`.
+        text: `press-button-2`; `go-to-exit`; `grip-red`, `release-red` or `use-red` for an action at a target;
+            `push-east-box-1` to push a target one cell; `push-block-to-plate` to push one prop onto another; a place
+            `x,y`; or a pose `x,y,heading_deg`.
         instance: the room with the targets and props.
 
     Raises:
-        UnknownNameError: no such goal; the message lists the names of this room's goals.
-        GoalError: the numbers are no pose, or it is no text.
+        UnknownNameError: no goal has this name; the message lists the names of this room's goals.
+        GoalError: the numbers are not a pose, or the value is not text.
     """
     if not isinstance(text, str):
         raise GoalError(f"{show_value(text)} is no text of a goal")
@@ -180,20 +180,20 @@ def _parse_pose(word: str) -> PoseGoal:
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-        raise GoalError(f"{word!r} is no pose: write x,y in metres, or x,y,heading with the heading in deg")
+        raise GoalError(f"{word!r} is not a pose: write x,y in metres, or x,y,heading with the heading in deg")
     heading = math.radians(numbers[2]) if len(numbers) == 3 else None
     return PoseGoal(numbers[0], numbers[1], heading)
 
 
 def list_goal_names(instance: RoomInstance) -> tuple[str, ...]:
-    """List the names of the goals of a room: presses, its model's other actions, and leaving."""
+    """Return the names of the goals of a room: presses, other actions of its model, and leaving."""
     presses = (PressGoal(target) for target in range(len(instance.targets)))
     acts = (make_goal(operator, instance) for operator in instance.symbolic_model.operators)
     return tuple(dict.fromkeys(name_goal(goal, instance) for goal in (*presses, *acts, ExitGoal())))
 
 
 def find_new_name(word: str, known: Sequence[str]) -> str | None:
-    """Return the name of a goal or option for a name of version 0.3, such as `meta-01`; None for any other text.
+    """Return the name of a goal or option for a name of version 0.3, such as `meta-01`, or None for any other text.
 
     Args:
         word: the text.
@@ -211,7 +211,7 @@ def find_new_name(word: str, known: Sequence[str]) -> str | None:
 
 
 def name_goal(goal: Goal, instance: RoomInstance) -> str:
-    """Return the name of a goal: what is done, then with what, as `parse_goal` reads it (it reads no region)."""
+    """Return the name of a goal: a verb and its object, as `parse_goal` reads it (except regions)."""
     if isinstance(goal, PressGoal):
         return f"press-{instance.frame.target_names[goal.target]}"
     if isinstance(goal, ExitGoal):
@@ -227,16 +227,16 @@ def name_goal(goal: Goal, instance: RoomInstance) -> str:
 
 
 def get_region(goal: ExitGoal | RegionGoal, instance: RoomInstance) -> Rectangle | RegionGoal:
-    """Rectangle of a goal on the floor: x_min, x_max, y_min, y_max."""
+    """Return the rectangle of a goal on the floor: x_min, x_max, y_min, y_max, in m."""
     return instance.exit if isinstance(goal, ExitGoal) else goal
 
 
 def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) -> bool:
     """Return whether the primitive that led from `before` to `after` reached the goal.
 
-    A press is an event and needs both states. For a state without a primitive before it, pass it
-    twice: a press is then never reached. A push or a grip is reached when the facts that its operator adds hold. In a
-    random puzzle others may come true instead, so there a grip counts, too, once those that it deletes no longer hold.
+    A press is an event and needs both states. For a state without a primitive before it, pass it twice; a press is then
+    not reached. A push or a grip is reached when the facts that its operator adds hold. In a random puzzle, a grip is
+    also reached once the facts that it deletes no longer hold.
     """
     if isinstance(goal, PressGoal):
         return bool(after.touching & ~before.touching & 1 << goal.target)
@@ -262,7 +262,7 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
 
 
 def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
-    """Goal of an operator of the puzzle's symbolic model."""
+    """Return the goal of an operator of the puzzle's symbolic model."""
     if operator.action == "push":
         props = [placed.prop.name for placed in instance.props]
         return PushGoal(props.index(operator.target), props.index(operator.destination or ""))
@@ -271,17 +271,17 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
 
 
 def list_grips(goal: GripGoal, instance: RoomInstance, model: SymbolicModel) -> tuple[Operator, ...]:
-    """Operators with this action at this target.
+    """Return the operators with this action at this target.
 
-    The model is that of the room's puzzle, or of a state of it, with things where they lie then; that has none where
-    no way leads to the thing.
+    The model is the room's, or the model of a state, with objects at their present places. The latter has no operators
+    for objects that cannot be reached.
     """
     name = instance.targets[goal.target].name
     return tuple(operator for operator in model.operators if (operator.target, operator.action) == (name, goal.action))
 
 
 def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:
-    """Operator of the puzzle that pushes this prop there. Raises `GoalError` if there is none."""
+    """Return the operator of the puzzle that pushes this prop there. Raises `GoalError` if there is none."""
     prop, destination = (instance.props[i].prop.name for i in (goal.prop, goal.destination))
     for operator in instance.symbolic_model.operators:
         if operator.action == "push" and (operator.target, operator.destination) == (prop, destination):

@@ -1,7 +1,6 @@
-"""`Plan`: primitives with the states they lead to, in named parts; a value that can be executed and drawn.
+"""`Plan`: primitives with the states they lead to, in named parts; it can be executed and drawn.
 
-The states are those of the room's own kinematics without noise and slip; in a room without these an executed plan
-meets them exactly.
+The states come from the room's kinematics without noise and slip. Without these, execution visits exactly these states.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ class PlanPart:
     """One leg of a plan.
 
     Attributes:
-        name: such as `press-button-2` or `exit`.
+        name: such as `press-button-2` or `go-to-exit`.
         goal: its goal.
         start: index of its first primitive.
         stop: index after its last primitive.
-        also_pressed: names of other targets that it cannot avoid to press.
+        also_pressed: names of other targets that it has to press.
     """
 
     name: str
@@ -46,9 +45,9 @@ class Execution(NamedTuple):
 
     Attributes:
         states: states, the first one included.
-        rewards: one a primitive that ran.
-        end: how the episode ended; `STOPPED` where it can go on.
-        as_predicted: every state was the predicted one.
+        rewards: rewards, one per primitive.
+        end: how the episode ended; `STOPPED` if it can continue.
+        as_predicted: whether every state equals the predicted one.
     """
 
     states: tuple[RoomState, ...]
@@ -62,7 +61,7 @@ class Execution(NamedTuple):
 
     @property
     def escaped(self) -> bool:
-        """True where the robot escaped."""
+        """Return whether the robot escaped."""
         return self.end is EpisodeEnd.ESCAPED
 
 
@@ -73,13 +72,13 @@ class Plan:
     Attributes:
         instance: the room.
         name: its goal, in words.
-        primitives: actions, in order.
+        primitives: action numbers, in order.
         states: predicted states, one more than primitives; the first is the start.
         parts: its legs, in order; they cover all primitives.
         planner: names of the searches that found its legs: `fields`, or a path planner.
         expansions: search nodes expanded for it.
-        seconds: wall time of planning it, without compilation.
-        timed_out: the planner's time limit cut the search short; without it the plan may be shorter.
+        seconds: wall time of planning it, without compilation, s.
+        timed_out: whether the planner's time limit ended the search early.
     """
 
     instance: RoomInstance
@@ -94,17 +93,17 @@ class Plan:
 
     @property
     def cost(self) -> int:
-        """Number of primitives in the plan."""
+        """Return the number of primitives in the plan."""
         return len(self.primitives)
 
     @property
     def path(self) -> NDArray[np.float64]:
-        """Positions of the body's axis, shape (primitives + 1, 2), m."""
+        """Return the positions of the body's axis, (primitives + 1, 2), in m."""
         return np.array([(state.x, state.y) for state in self.states], dtype=np.float64).reshape(-1, 2)
 
     @property
     def also_pressed(self) -> tuple[str, ...]:
-        """Names of targets that are pressed on the way because they cannot be avoided."""
+        """Return the names of targets that the plan has to press on the way."""
         return tuple(name for part in self.parts for name in part.also_pressed)
 
     def __repr__(self) -> str:
@@ -115,7 +114,7 @@ class Plan:
         return self.play()
 
     def compute_return(self) -> float:
-        """Compute the undiscounted return of the plan as predicted, regardless of the horizon."""
+        """Return the undiscounted return of the plan as predicted, ignoring the horizon."""
         if self.instance.has_extra_reward:
             rules = Kinematics(self.instance, is_still=True)
             return sum(rules.step(*pair).reward for pair in zip(self.states, self.primitives, strict=False))
@@ -126,10 +125,13 @@ class Plan:
     def execute(self, env: gymnasium.Env) -> Execution:
         """Execute the primitives in an environment, open loop, until the plan or the episode ends.
 
-        Under noise, slip or physics use an option, which replans from the state reached.
+        Under noise, slip or physics, use an option, which plans again from the state reached.
 
         Args:
-            env: a flat environment of this room, wrapped or not, in the state where the plan starts.
+            env: a flat environment of this room, wrapped or not, in the first state of the plan.
+
+        Returns:
+            States, rewards, and whether all states were as predicted.
 
         Raises:
             EscapeError: the environment has another room or none, or is in another state.
@@ -158,7 +160,7 @@ class Plan:
         """Draw the plan on the room's map.
 
         Args:
-            path: PNG, SVG or PDF to write; None only returns the figure.
+            path: PNG, SVG or PDF file to write, or None to only return the figure.
 
         Returns:
             The matplotlib figure.
@@ -175,10 +177,10 @@ class Plan:
         return figure
 
     def play(self, width: int = 480) -> str:
-        """Play the plan on the room's map: an HTML frame for notebooks and pages, which loads nothing.
+        """Return an HTML frame that plays the plan on the room's map, for notebooks and pages; it loads no other files.
 
         Args:
-            width: of the frame, in pixels.
+            width: width of the frame, in pixels.
         """
         from hrl_escape.env.pictures.moving_map import embed_moving_map, make_moving_map  # loads matplotlib
 
@@ -186,7 +188,7 @@ class Plan:
         return embed_moving_map(self.instance, make_moving_map(self.instance, self.states, decisions), width)
 
     def make_rows(self) -> list[tuple[str, str, str, str]]:
-        """Format the plan as rows of text: a header, one row a part, and the total."""
+        """Return the plan as rows of text: a header, one row per part, and the total."""
         names = self.instance.robot.actions.names
         rows = [("part", "primitives", "ends at", "actions")]
         for part in self.parts:
@@ -221,14 +223,14 @@ class Plan:
 
 
 def make_planned_room(instance: RoomInstance) -> RoomInstance:
-    """The room that plans are made in: where pressing takes force, under physics, nothing is touched by a margin."""
+    """Return the room for planning. Under physics, where presses take force, the press margin is 0."""
     if instance.dynamics.kind != "physics":
         return instance
     return dataclasses.replace(instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=0.0))
 
 
 def strip(state: RoomState) -> RoomState:
-    """Reduce a state to the part on which the future of a room without noise depends."""
+    """Reduce a state to what determines the future of a room without noise."""
     return state._replace(primitives=0, noise_key=0, physics=None)
 
 
@@ -237,7 +239,7 @@ def _describe_pose(state: RoomState) -> str:
 
 
 def join_parts(legs: Sequence[Plan]) -> tuple[PlanPart, ...]:
-    """Join the parts of consecutive plans into those of one plan."""
+    """Join the parts of consecutive plans into the parts of one plan."""
     parts, offset = [], 0
     for leg in legs:
         parts += [dataclasses.replace(p, start=p.start + offset, stop=p.stop + offset) for p in leg.parts]

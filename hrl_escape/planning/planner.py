@@ -1,7 +1,7 @@
-"""`RoomPlanner`: the programmatic API of all planning in one room.
+"""`RoomPlanner`: the Python API of all planning in one room.
 
-It composes routes to single goals (`routes.py`), orders of the puzzle's operators and legs planned together
-(`search/joint_search.py`) into plans. Every plan is checked by the room's own kinematics.
+It combines routes to single goals (`routes.py`), orders of the puzzle's operators, and legs planned together
+(`search/joint_search.py`) into plans. The room's kinematics check every plan.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from hrl_escape.planning.routes import Routes, check_method
 from hrl_escape.planning.symbolic.operator_order import ExtendLeg, Leg, TaskPlan, TaskSearch
 
 ESCAPES = 8
-"""Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
+"""Number of operator orders that are planned in detail when a request asks for better plans."""
 MOST_JOINTS = 4
-"""Most joints of a pressing arm for joint searches: its tables then take a millisecond."""
+"""Maximum number of joints of a pressing arm for joint searches. Tables then take a millisecond."""
 MOST_FLOOR = 1_000.0
-"""Largest floor for joint searches by hand, m^2: each posture's field then takes 0.1 s."""
+"""Largest floor for joint searches by hand, m^2. The field of each posture then takes 0.1 s."""
 REAL_LEGS = 300
-"""Most legs of a task whose legs are each planned from the true end of the one before."""
+"""Maximum number of legs that are each planned from the end of the one before."""
 
 
 class Orders:
@@ -48,9 +48,9 @@ class Orders:
         self._model = self._instance.symbolic_model
 
     def find_goals(self, state: RoomState, clock: Clock, settings: SearchSettings) -> tuple[Goal, ...]:
-        """List the goals of an escape from here, the exit last; raises `PlanningFailed`.
+        """Return the goals of an escape from this state, the exit last; raises `PlanningFailed`.
 
-        They are in the order of the puzzle's own plan or, where it has none, in the cheapest order.
+        The order is the puzzle's own plan if it has one, otherwise the cheapest order.
         """
         began = read_clock()
         doors, puzzle = self._routes.rules.inner_doors, self._instance.puzzle
@@ -63,7 +63,10 @@ class Orders:
         return (*(make_goal(op, self._instance) for op in tasks.operators), ExitGoal())
 
     def find_ancestors(self, state: RoomState, goal: Goal, report: PlanningReport | None = None) -> list[Goal]:
-        """Goals that a goal's preconditions need, in the cheapest order, and the goal last. Raises `PlanningFailed`."""
+        """Return the goals that a goal's preconditions require, in the cheapest order, and the goal.
+
+        Raises `PlanningFailed`.
+        """
         self._routes.check_query(state, goal)
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         model = self._instance.find_model(state.puzzle)
@@ -83,16 +86,17 @@ class Orders:
 
     def _make_search(self, model: SymbolicModel, goal: frozenset[str] | None = None, relevant_only: bool = True
                      ) -> TaskSearch:
-        """Search for a goal; bounds of legs are those of things in their first places."""
+        """Make the search for a goal. Lower bounds of legs use the initial places of objects."""
         if model is not self._model:
             return TaskSearch(model, goal, relevant_only=relevant_only)
         return TaskSearch(model, goal, self.bounds.bound_leg, relevant_only)
 
     def list_orders(self, state: RoomState, count: int, clock: Clock, settings: SearchSettings, most_nodes: float
                     ) -> Iterator[list[Goal]]:
-        """List several of the cheapest orders of an escape's goals, without the exit, by legs from true ends.
+        """Return several of the cheapest orders of an escape's goals, without the exit.
 
-        The last orders press the target that opens the exit, after its ancestors, as one meta-action does.
+        Legs are planned from the end of the one before. The last orders press the target that opens the exit after its
+        ancestors, as one planned option does.
         """
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         search = self._make_search(self._instance.find_model(state.puzzle), relevant_only=False)
@@ -105,10 +109,10 @@ class Orders:
 
     def _find_order(self, state: RoomState, search: TaskSearch, clock: Clock, settings: SearchSettings,
                     last: Goal | None = None, report: PlanningReport | None = None) -> TaskPlan | None:
-        """Find the cheapest order of a task; the last leg goes to `last`, or to the exit.
+        """Find the cheapest order of a task. The last leg goes to `last`, or to the exit.
 
-        Up to `REAL_LEGS` legs are each planned from the true end of the one before. Beyond that, costs are
-        computed pair by pair, each from the place where the first operator ends if it comes first of all.
+        Up to `REAL_LEGS` legs are planned from the end of the one before. Beyond that, costs are computed per pair,
+        from where the first operator ends if it comes first in the plan.
         """
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         extend = self._make_extend(state, clock, settings, last, report)
@@ -136,9 +140,9 @@ class Orders:
 
     def _make_extend(self, state: RoomState, clock: Clock, settings: SearchSettings, last: Goal | None,
                      report: PlanningReport | None, most_nodes: float = math.inf) -> ExtendLeg:
-        """Make the function that plans the next leg of a task from the true end of the one before.
+        """Make the function that plans the next leg of a task from the end of the one before.
 
-        It finds no further legs once `most_nodes` search nodes are spent; those of cached routes count again.
+        It returns no more legs after `most_nodes` search nodes; nodes of cached routes count again.
         """
         puzzle, left = self._instance.puzzle, most_nodes
 
@@ -168,7 +172,7 @@ class Orders:
         return extend
 
     def _guess_push(self, here: RoomState, goal: PushGoal) -> Leg:
-        """Estimate the leg of a push, for ordering only: the way to the prop, plus twice the prop's own way."""
+        """Estimate the leg of a push, for the order only: the way to the prop plus twice the way of the prop."""
         poses = get_prop_poses(here, self._instance)
         (x, y, _), (to_x, to_y, _) = poses[goal.prop], poses[goal.destination]
         way = math.hypot(x - here.x, y - here.y) + 2.0 * math.hypot(to_x - x, to_y - y)
@@ -176,7 +180,7 @@ class Orders:
 
     @cached_property
     def solved_puzzle(self) -> Any:
-        """State of the puzzle in which the exit is open."""
+        """Return the puzzle state with an open exit."""
         puzzle = self._instance.puzzle
         state = puzzle.make_state()
         facts = puzzle.symbolic.get_facts(state)
@@ -187,7 +191,7 @@ class Orders:
 
     @cached_property
     def _opened_puzzle(self) -> Any:
-        """State of the puzzle after all operators that can be carried out, with all doors between rooms open."""
+        """Return the puzzle state after all possible operators, with all doors between rooms open."""
         puzzle, state = self._instance.puzzle, self._instance.puzzle.make_state()
         for op in list(self._model.operators) * len(self._model.operators):
             if op.is_applicable(puzzle.symbolic.get_facts(state)):
@@ -195,7 +199,7 @@ class Orders:
         return state
 
     def find_exit(self, here: RoomState, has_moved: bool, clock: Clock, settings: SearchSettings) -> Route:
-        """Find the last leg; empty if the primitive that solved the puzzle has already ended the episode."""
+        """Plan the last leg; empty if the primitive that solved the puzzle has already ended the episode."""
         if not self._routes.rules.has_escaped(here):
             return self._routes.find_route(here, ExitGoal(), None, clock, settings)
         if has_moved:
@@ -220,27 +224,27 @@ class Orders:
 
 
 class RoomPlanner:
-    """Planner of one room; make it once and use it for every episode.
+    """Planner of one room. Make it once and use it for every episode.
 
-    Thread-safe by a lock. Pickling drops the cached routes.
+    It is thread-safe by a lock. Pickling drops the cached routes.
 
     Args:
-        instance: the room. Under noise, slip or physics, plans are for the kinematic room without these; in a random
-            puzzle they suppose its most likely outcomes.
-        method: `fields` (cost-to-go fields); a path planner round whose path to search, such as `RRTConnect`
-            (see `list_planners`), with `corridor` for the default one; or `auto`, which takes the corridor for places
-            on floors of more than 3,000 m^2, and fields for everything else.
-        budget: search nodes of a plan; the same budget finds the same plan anywhere.
-        time_limit: limit of one whole call of `plan`, `solve`, `order_goals` or `orders.find_ancestors`, s. None, the
-            default, leaves the decision to the budget, so that plans do not depend on the machine.
+        instance: the room. Plans ignore noise, slip and physics, and assume the most probable outcomes of a random
+            puzzle.
+        method: `fields` (cost-to-go fields), a path planner such as `RRTConnect` (see `list_planners`), whose path
+            limits the search, `corridor` for the default path planner, or `auto`. `auto` uses the corridor for places
+            on floors above 3,000 m^2, and fields for everything else.
+        budget: search nodes of a plan. Equal budgets give equal plans on every machine.
+        time_limit: limit of one call of `plan`, `solve`, `order_goals` or `orders.find_ancestors`, s. With None, the
+            default, plans do not depend on the machine.
 
     Attributes:
         instance: the room as given.
-        rules: its kinematics with nothing random, by which plans are checked.
+        rules: its kinematics without randomness, which check plans.
         routes: cached routes to single goals.
 
     Raises:
-        UnknownNameError: no such method.
+        UnknownNameError: no method has this name.
     """
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
@@ -250,11 +254,11 @@ class RoomPlanner:
 
     @cached_property
     def orders(self) -> Orders:
-        """Cheapest orders of the puzzle's operators."""
+        """Return the cheapest orders of the puzzle's operators."""
         return Orders(self.routes)
 
     def adapt(self, instance: RoomInstance) -> RoomPlanner:
-        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
+        """Make the planner of an edited room. It plans as a new one would, and reuses what stays valid.
 
         Args:
             instance: the edited room, such as `Scene.instance`.
@@ -264,7 +268,7 @@ class RoomPlanner:
         return new
 
     def prepare(self) -> None:
-        """Compute now the fields that routes share, so that the first plans are as quick as later ones."""
+        """Compute the shared fields now, to make the first plans as fast as later ones."""
         with self.routes.lock:
             self.routes.search.prepare()
 
@@ -275,12 +279,15 @@ class RoomPlanner:
 
         Args:
             state: first state, such as `env.unwrapped.get_state()`.
-            goal: a goal, or its text: `button-2`, `exit`, `x,y` or `x,y,heading_deg`.
-            method: method of this plan; None for the planner's own.
+            goal: a goal, or its text: `press-button-2`, `go-to-exit`, `x,y` or `x,y,heading_deg`.
+            method: method of this plan, or None for the planner's own.
+
+        Returns:
+            The plan, with its predicted states.
 
         Raises:
             PlanningFailed: there is no plan; its reason says why.
-            StateError, GoalError: there is no such state or goal in this room.
+            StateError, GoalError: the room has no such state or goal.
             UnknownNameError: the text names nothing in this room.
         """
         began = read_clock()
@@ -292,16 +299,19 @@ class RoomPlanner:
 
     def answer(self, request: PlanningRequest, *, stop: threading.Event | None = None,
                on_improvement: Callable[[PlanningResult], None] | None = None) -> PlanningResult:
-        """Answer a planning request; a failure is a result, too.
+        """Answer a planning request. A failure is returned as a result.
 
         Args:
             request: what to plan.
-            stop: event that cancels the call once another thread sets it; what is known then is the result.
+            stop: event that cancels the call when another thread sets it. The result is then the best so far.
             on_improvement: called with the first plan and with every better one.
 
+        Returns:
+            The result, with status, plan, cost and lower bound.
+
         Raises:
-            StateError, GoalError, UnknownNameError: there is no such state, goal or method in this room.
-            UnsupportedError: the puzzle needs pushes, whose effect no plan predicts.
+            StateError, GoalError, UnknownNameError: the room has no such state, goal or method.
+            UnsupportedError: the puzzle requires pushes, whose effect cannot be predicted.
         """
         began = read_clock()
         clock = Clock(self.routes.time_limit if request.time_limit is None else request.time_limit, stop)
@@ -332,7 +342,7 @@ class RoomPlanner:
 
     def _iterate_plans(self, request: PlanningRequest, goals: Sequence[Goal], settings: SearchSettings, clock: Clock
                        ) -> Iterator[Plan]:
-        """Plans for a request: the first as by `plan` or `solve`, then others while nodes are left."""
+        """Yield plans for a request: first the plan of `plan` or `solve`, then others while nodes are left."""
         state, is_thorough = request.state, request.improve or request.objective != "primitives"
         if not goals:
             left, plan = settings.budget, None
@@ -364,19 +374,21 @@ class RoomPlanner:
         return SearchSettings(method or usual.method, budget or usual.budget, seed)
 
     def solve(self, state: RoomState, method: str | None = None) -> Plan:
-        """Plan the whole escape: the puzzle's operators, then the exit, with few primitives in all.
+        """Plan the whole escape with few primitives: the puzzle's operators, then the exit.
 
         Legs are first planned one by one, in the cheapest order. One search over all orders then looks for a shorter
-        escape, whose legs end where the rest is short; not where a hand with five joints or more presses, or under
-        physics.
+        escape. It is skipped under physics and for a pressing hand with five joints or more.
 
         Args:
             state: first state.
-            method: method of this plan; None for the planner's own.
+            method: method of this plan, or None for the planner's own.
+
+        Returns:
+            The plan, with one part per leg.
 
         Raises:
             PlanningFailed: there is no plan; its reason says why.
-            UnsupportedError: the puzzle needs pushes, whose effect no plan predicts; use `pursue`.
+            UnsupportedError: the puzzle requires pushes, whose effect cannot be predicted; use `pursue`.
         """
         settings = self._choose_settings(method)
         self.routes.check_query(state)
@@ -384,10 +396,10 @@ class RoomPlanner:
 
     def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock, most_nodes: int | None = None,
                known: Plan | None = None) -> Plan:
-        """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once.
+        """Plan the escape leg by leg, then look for a shorter one over all legs and orders at once.
 
-        The budget of `settings` is that of each leg; both searches together end at `most_nodes`. A shorter escape than
-        the one that is known already is asked for.
+        The budget of `settings` holds per leg, and both searches together end at `most_nodes`. The result must be
+        shorter than the escape that is already known.
         """
         began = read_clock()
         plan = self._solve_by_legs(state, settings, clock)
@@ -399,12 +411,12 @@ class RoomPlanner:
         return dataclasses.replace(plan, expansions=spent, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def shorten_escape(self, state: RoomState, plan: Plan, budget: int) -> Plan:
-        """Look for a shorter escape than a known one, with all efforts: jointly over orders and the ends of legs.
+        """Look for a shorter escape than a known one, over orders and ends of legs.
 
         Args:
             state: first state.
             plan: an escape from it.
-            budget: search nodes; the same budget finds the same plan anywhere.
+            budget: search nodes. Equal budgets give equal plans on every machine.
         """
         clock, settings = Clock(self.routes.time_limit), self.routes.settings
         for effort in (0, 1, 2):
@@ -417,9 +429,9 @@ class RoomPlanner:
 
     def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock, most_nodes: int
                         ) -> tuple[Plan, int]:
-        """The escape, or a shorter one found jointly, and the nodes spent on it.
+        """Return the escape, or a shorter one found jointly, and the nodes spent on it.
 
-        Props, and headings and joints off their lattices, stay out.
+        Props, and headings and joints off their lattices, are not supported.
         """
         order = [part.goal for part in plan.parts]
         is_off = state.heading_offset or any(state.joint_offsets)
@@ -436,7 +448,7 @@ class RoomPlanner:
                                                           "joint search")), spent
 
     def order_goals(self, state: RoomState) -> tuple[Goal, ...]:
-        """List the goals of an escape from here in the cheapest order; the last one is the exit.
+        """Return the goals of an escape from this state in the cheapest order, the exit last.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.
@@ -445,14 +457,14 @@ class RoomPlanner:
         return self.orders.find_goals(state, Clock(self.routes.time_limit), self.routes.settings)
 
     def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
-        """Plan the next leg of an escape that noise has led astray, within milliseconds.
+        """Plan the next leg of an escape after noise, within milliseconds.
 
-        Where the body presses, the leg ends where the way on is short, and may lead to another goal first if that
-        order has become shorter. Elsewhere it leads to the first goal.
+        For presses with the body, the leg ends where the rest is short, and it can lead to another goal first if that
+        order has become shorter. Otherwise it leads to the first goal.
 
         Args:
             state: present state.
-            order: goals that are left, in order, such as those of `order_goals`.
+            order: remaining goals in order, such as the result of `order_goals`.
 
         Raises:
             PlanningFailed: the first goal cannot be reached.
@@ -471,13 +483,13 @@ class RoomPlanner:
         return self.plan(state, order[0])
 
     def follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
-        """Plan to goals in order, to each from the true end of the one before.
+        """Plan to goals in order, each from the end of the leg before.
 
         Args:
             state: first state.
             goals: the goals.
             clock: time limit.
-            settings: of each search.
+            settings: settings of each search.
 
         Raises:
             PlanningFailed: a goal cannot be reached.
@@ -499,18 +511,20 @@ class RoomPlanner:
 
     def list_escapes(self, state: RoomState, count: int, clock: Clock | None = None,
                      settings: SearchSettings | None = None, most_nodes: float = math.inf) -> list[Plan]:
-        """List escapes leg by leg, as options make them, in several of the cheapest orders; the shortest first.
+        """Return escapes planned leg by leg, as options make them, the shortest first.
+
+        They follow several of the cheapest orders.
 
         Args:
             state: first state.
-            count: most escapes to list.
-            clock: time limit of a call that this one is part of; None for the planner's own.
-            settings: of each search; None for the planner's own.
-            most_nodes: search nodes after which no further leg is planned.
+            count: maximum number of escapes.
+            clock: time limit of the calling function, or None for the planner's own.
+            settings: settings of each search, or None for the planner's own.
+            most_nodes: search nodes after which planning stops.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.
-            UnsupportedError: the puzzle needs pushes.
+            UnsupportedError: the puzzle requires pushes.
         """
         clock, settings = clock or Clock(self.routes.time_limit), settings or self.routes.settings
         first = self._solve_by_legs(state, settings, clock)
@@ -529,7 +543,7 @@ class RoomPlanner:
         return sorted(plans.values(), key=lambda plan: plan.cost)[:count]
 
     def make_plan(self, state: RoomState, primitives: Sequence[int], goals: Sequence[Goal], planner: str) -> Plan:
-        """Make a plan of primitives that reach goals one after another; the last primitive may reach several.
+        """Make a plan from primitives that reach goals one after another. The last primitive can reach several.
 
         Raises:
             PlanningFailed: the primitives do not reach the goals.
@@ -566,7 +580,7 @@ class RoomPlanner:
 
 
 def can_join(room: RoomInstance, order: Sequence[Goal]) -> bool:
-    """Return whether legs to these goals can be planned jointly: only presses, and no rewards beside steps and exit."""
+    """Return whether these legs can be planned jointly: presses only, without rewards other than steps and exit."""
     is_plain = not (room.props or room.inner_doors or room.has_extra_reward)
     if room.dynamics.press_with == "hand":  # arms that collide, or with many joints, take long
         is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
@@ -577,11 +591,11 @@ def can_join(room: RoomInstance, order: Sequence[Goal]) -> bool:
 _PLANNERS: OrderedDict[tuple[str, str], RoomPlanner] = OrderedDict()
 _PLANNERS_LOCK = threading.Lock()
 KEPT_PLANNERS = 32
-"""Most planners kept in a process, at some 4 MB each for a room of 20 m."""
+"""Maximum number of planners kept in a process, about 4 MB each for a room of 20 m."""
 
 
 def get_planner(instance: RoomInstance, method: str = "auto") -> RoomPlanner:
-    """Return this process's shared planner for a room and a method; the last `KEPT_PLANNERS` are kept."""
+    """Return this process's shared planner for a room and a method. The last `KEPT_PLANNERS` are kept."""
     check_method(method)
     key = (instance.id, method)
     with _PLANNERS_LOCK:

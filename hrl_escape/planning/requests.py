@@ -1,9 +1,9 @@
-"""`PlanningRequest` and `PlanningResult`: a planning call and its outcome as values, with costs and better plans.
+"""`PlanningRequest` and `PlanningResult`: a planning call and its outcome as values.
 
-A result is a function of room and request alone, on any machine, unless the request sets a time limit or another thread
-cancels the call. After the first plan an anytime call compares more, in a fixed order: fewer primitives come from
-searches whose heuristic is lowered further and further; other objectives also look at ways that keep away from solids
-by growing margins, and at ways round the paths of path planners that shorten theirs.
+Without a time limit or a cancellation, a result is a function of room and request on every machine. After the first
+plan, an anytime call compares more plans in a fixed order. For fewer primitives, later searches reduce the weight of
+the heuristic. For other objectives, routes keep growing distances from solids, or follow paths of asymptotically
+optimal path planners.
 """
 
 from __future__ import annotations
@@ -43,15 +43,16 @@ class PlanningRequest:
     Attributes:
         state: first state.
         goal: a goal or its text; several, to be reached in this order; or None for the whole escape.
-        method: as in `RoomPlanner`; None for the planner's own.
-        budget: search nodes that may be expanded; None for the planner's own.
-        time_limit: limit of the call, s; None for none. With one, the result may depend on the machine.
-        objective: cost to keep low. `primitives`: their number. `length`: metres that the base travels. `clearance`:
-            these metres, each weighted by how much of one metre of clearance it lacks. `time`: seconds under `limits`.
+        method: as in `RoomPlanner`, or None for the planner's own.
+        budget: maximum number of expanded search nodes, or None for the planner's own.
+        time_limit: limit of the call, s, or None. With a limit, the result can depend on the machine.
+        objective: cost to minimise. `primitives`: their number. `length`: metres that the base travels. `clearance`:
+            these metres, each weighted by how far it falls short of one metre of clearance. `time`: seconds under
+            `limits`.
         limits: speeds, accelerations and jerks, for the objective `time`.
-        improve: go on after the first plan until the budget is spent or the lower bound is met. Objectives other than
-            `primitives` always compare several plans.
-        seed: of randomised path planners.
+        improve: continue after the first plan until the budget is spent or the lower bound is met. Objectives other
+            than `primitives` always compare several plans.
+        seed: seed of randomised path planners.
     """
 
     state: RoomState
@@ -71,7 +72,7 @@ class PlanningRequest:
             raise ConfigError("request.seed", self.seed, f"a whole number from 0 to {2**32 - 1}")
         if self.budget is not None:
             check_budget(self.budget)
-        Clock(self.time_limit)  # raises for a value that is no limit
+        Clock(self.time_limit)  # raises for an invalid limit
         if isinstance(self.goal, Sequence) and not isinstance(self.goal, str) and not self.goal:
             raise ConfigError("request.goal", self.goal, "at least one goal, or None for the escape")
 
@@ -81,16 +82,16 @@ class PlanningResult:
     """Outcome of a planning call.
 
     Attributes:
-        request: what was asked.
-        status: `"reached"`, or the reason for which there is no plan.
-        plan: the best plan found; None without one.
-        cost: its cost by the request's objective; infinity without a plan.
-        lower_bound: no plan costs less.
+        request: the request.
+        status: `"reached"`, or the reason why there is no plan.
+        plan: the best plan found, or None.
+        cost: cost of the plan by the request's objective; infinity without a plan.
+        lower_bound: lower bound of the cost of every plan.
         method: search that found the plan, such as `fields` or `RRTConnect`; empty without a plan.
-        spent: search nodes expanded; those of cached routes count again.
-        seconds: wall time, without compilation.
-        cut_short: the time limit, or a cancellation, ended the call; without it the plan may be better.
-        failure: the error that says why there is no plan; None with a plan.
+        spent: search nodes expanded; nodes of cached routes count again.
+        seconds: wall time without compilation, s.
+        cut_short: whether a time limit or a cancellation ended the call.
+        failure: the error that says why there is no plan, or None.
     """
 
     request: PlanningRequest
@@ -106,18 +107,21 @@ class PlanningResult:
 
     @property
     def seed(self) -> int:
-        """Seed of the search, as the request gave it."""
+        """Return the seed of the search, from the request."""
         return self.request.seed
 
     @property
     def gap(self) -> float:
-        """Largest share by which the plan may cost more than the best one; infinity without a plan or a bound."""
+        """Return an upper bound of the plan's excess cost, as a share of the best cost.
+
+        It is infinity without a plan or a bound.
+        """
         if self.cost <= self.lower_bound:
             return 0.0
         return self.cost / self.lower_bound - 1.0 if self.lower_bound > 0.0 else math.inf
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON; numbers that are infinite become None."""
+        """Return plain values for JSON. Infinite numbers become None."""
         return {
             "status": self.status.value if isinstance(self.status, PlanningReason) else self.status,
             "objective": self.request.objective, "cost": self.cost if math.isfinite(self.cost) else None,
@@ -130,11 +134,11 @@ class PlanningResult:
 WANTED = 1.0
 """Clearance beyond which more has no value, m."""
 MEASURED_EVERY = 0.05
-"""Distance of the places at which a plan's clearance is measured, m."""
+"""Distance between places where the clearance of a plan is measured, m."""
 
 
 def compute_plan_cost(plan: Plan, request: PlanningRequest) -> float:
-    """Cost of a plan by a request's objective."""
+    """Return the cost of a plan by a request's objective."""
     if request.objective == "primitives":
         return float(plan.cost)
     if request.objective == "length":
@@ -146,7 +150,7 @@ def compute_plan_cost(plan: Plan, request: PlanningRequest) -> float:
 
 
 def compute_lacking_clearance(plan: Plan) -> float:
-    """Metres of the base's way, each weighted by the share of one metre of clearance that the body lacks there."""
+    """Return the metres travelled by the base, weighted by the missing share of one metre of clearance."""
     solids = stack_footprints([solid.footprint for solid in plan.instance.solids])
     total = 0.0
     for (x, y), (to_x, to_y) in zip(plan.path, plan.path[1:], strict=False):
@@ -163,9 +167,9 @@ def compute_lacking_clearance(plan: Plan) -> float:
 
 def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...], request: PlanningRequest,
                primitives: float) -> float:
-    """Lower bound of the cost of every plan that reaches goals in order.
+    """Return a lower bound of the cost of every plan that reaches goals in order.
 
-    `primitives` is a bound of their number.
+    `primitives` is a lower bound of their number.
     """
     if request.objective == "primitives":
         return primitives
@@ -182,19 +186,22 @@ def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...]
 
 
 WAY_MARGINS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
-"""Distances that ways keep from solids, m."""
+"""Distances that routes keep from solids, m."""
 PATH_PLANNERS = ("BITstar", "InformedRRTstar")
-"""Path planners whose paths are short or become so."""
+"""Path planners with short or improving paths."""
 
 
 def iterate_routes(routes: Routes, state: RoomState, goal: Goal, request: PlanningRequest,
                    settings: SearchSettings, clock: Clock) -> Iterator[Route]:
-    """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped.
+    """Yield routes to one goal after the first one, until the nodes of `settings.budget` are spent.
 
-    They are found by lower and lower heuristics, then with growing margins, then round paths of path planners.
+    Failures are skipped.
+
+    They come from searches with lower and lower heuristics, then with growing margins, then along paths of path
+    planners.
     """
     def find(way: int | float | str) -> Route:
-        """Find a route by an effort, with a margin or round a planner's path."""
+        """Return the route of one effort, with a margin or along the path of a planner."""
         rest = settings._replace(budget=left)
         if isinstance(way, float):
             keep_out = (*list_obstacles(state, routes.instance)[-1], *grow_solids(routes.instance, state, goal, way))

@@ -1,4 +1,4 @@
-"""Routes: the primitives to one goal, the search settings, the pose that they depend on, and the planning report."""
+"""Routes to one goal, search settings, the pose that a route depends on, and the planning report."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError
 
 EFFORTS = (2, 4, 8)
-"""Heuristic offsets of further searches for a shorter plan, one for each step of effort that a caller asks for."""
+"""Heuristic offsets of further searches for a shorter plan, one per step of effort."""
 
 Pose: TypeAlias = tuple[Any, ...]
 
 
 def get_pose(state: RoomState) -> Pose:
-    """Pose that a route depends on: base, arm, and touched targets; hashable."""
+    """Return the pose that a route depends on: base, arm, and touched targets; hashable."""
     return (*state.pose, state.touching)
 
 
 class Route(NamedTuple):
-    """Primitives to one goal, with the poses they lead through."""
+    """Primitives to one goal, with the poses on the way."""
 
     primitives: tuple[int, ...]  # actions, in order
     poses: tuple[Pose, ...]  # the pose before each primitive and the last one
     also_pressed: tuple[int, ...]  # other targets that are pressed on the way because they cannot be avoided
     expansions: int  # search nodes expanded for it
     method: str = "given"  # search that found it: `fields`, or a path planner; `given` if none did
-    timed_out: bool = False  # the clock cut its search short; without it there may be a shorter one
+    timed_out: bool = False  # the time limit ended its search, so a shorter route can exist
 
 
 class SearchSettings(NamedTuple):
-    """Settings of one search, beyond start and goal."""
+    """Settings of one search, in addition to start and goal."""
 
     method: str  # as in `RoomPlanner`
-    budget: int  # search nodes that may be expanded
+    budget: int  # maximum number of expanded search nodes
     seed: int = 0  # of path planners
     effort: int = 0
-    """Further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found, which may be some
-    primitives longer."""
+    """Number of further searches for a shorter plan, at most `len(EFFORTS)`; -1 takes the first plan found, which can
+    be some primitives longer."""
 
 
 def check_budget(budget: int) -> None:
@@ -50,10 +50,10 @@ def check_budget(budget: int) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class PlanningSummary:
-    """Planning behind one or several decisions. Depends on the clock and on what is in the planner's cache.
+    """Planning of one or several decisions. It depends on the clock and on the planner's cache.
 
     Attributes:
-        planner_seconds: wall time spent planning, in seconds.
+        planner_seconds: wall time spent planning, s.
         planner_calls: requests for plans, cached or new.
         cache_hits: requests answered from the cache.
         replans: plans made after the state had left the last plan.
@@ -66,16 +66,14 @@ class PlanningSummary:
 
     @property
     def cache_hit_rate(self) -> float:
-        """Share of the requests that were answered from the cache, from 0 to 1; 0 without requests."""
+        """Return the share of requests answered from the cache, from 0 to 1; 0 without requests."""
         return self.cache_hits / max(self.planner_calls, 1)
 
     def __add__(self, other: PlanningSummary) -> PlanningSummary:
-        """Sum of two summaries."""
         return PlanningSummary(self.planner_seconds + other.planner_seconds, self.planner_calls + other.planner_calls,
                                self.cache_hits + other.cache_hits, self.replans + other.replans)
 
     def __sub__(self, earlier: PlanningSummary) -> PlanningSummary:
-        """Planning since an earlier total."""
         return PlanningSummary(
             self.planner_seconds - earlier.planner_seconds, self.planner_calls - earlier.planner_calls,
             self.cache_hits - earlier.cache_hits, self.replans - earlier.replans)
@@ -83,10 +81,10 @@ class PlanningSummary:
 
 @dataclasses.dataclass
 class PlanningReport:
-    """Planning done on behalf of one run of an option, from its start on.
+    """Planning of one run of an option.
 
     Attributes:
-        planner_seconds: wall time spent planning.
+        planner_seconds: wall time spent planning, s.
         planner_calls: requests for plans, cached or new.
         cache_hits: requests answered from the cache.
         replans: plans made after the state had left the last plan.
@@ -108,11 +106,11 @@ class PlanningReport:
         self.unavoidable += other.unavoidable
 
     def summarise(self) -> PlanningSummary:
-        """Seconds and counts, without the names."""
+        """Return seconds and counts, without the names."""
         return PlanningSummary(self.planner_seconds, self.planner_calls, self.cache_hits, self.replans)
 
     def count_since(self, earlier: PlanningReport) -> PlanningReport:
-        """Counts and seconds since an earlier report of the same run; `unavoidable` stays that of the whole run."""
+        """Return counts and seconds since an earlier report of the same run; `unavoidable` covers the whole run."""
         return PlanningReport(
             self.planner_seconds - earlier.planner_seconds, self.planner_calls - earlier.planner_calls,
             self.cache_hits - earlier.cache_hits, self.replans - earlier.replans, self.unavoidable)

@@ -1,6 +1,6 @@
-"""Routes: primitives from a state to one goal, found once, cached, and checked by replay.
+"""Routes: primitives from a state to one goal, cached and checked by replay.
 
-A route is a function of state and goal alone, so remembering it saves time and changes nothing.
+A route is a function of state and goal alone, so caching does not change results.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher
 
 MOST_POSES = 20_000
-"""Most poses of all cached routes, at some 0.3 kB each; the least recently used routes are dropped first."""
+"""Maximum number of poses of all cached routes, about 0.3 kB each. The least recently used routes are dropped first."""
 _KEY = 3
 """Memory of a route's key, in poses."""
 
 CAREFUL = 20_000
-"""Search nodes for a route that avoids all blocks, before one that may move some."""
+"""Search nodes for a route that avoids all blocks, before one that can move some."""
 
 DoorKey: TypeAlias = tuple[int, tuple[int, ...]]
 """Bits of the inner doors that are shut, and numbers of those in whose cells a grip or push is possible."""
@@ -64,8 +64,8 @@ RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey | None], P
 class Routes:
     """Routes of one room; thread-safe by a lock, and picklable.
 
-    `rules` are the room's kinematics with nothing random, by which routes are checked; method, budget of search nodes
-    and time limit, s, are as in `RoomPlanner`. `search` is of the room with its inner doors open.
+    `rules` are the room's kinematics without randomness, which check routes. Method, budget of search nodes and time
+    limit, s, are as in `RoomPlanner`. `search` is for the room with open inner doors.
     """
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
@@ -103,24 +103,24 @@ class Routes:
         self._open()
 
     def take_over(self, before: Routes) -> None:
-        """Take over the grids and fields of the room as it was before an edit, as far as the edit leaves them valid."""
+        """Reuse the grids and fields of the room before an edit, as far as they stay valid."""
         with before.lock:
             self.search = before.search.adapt(self._quiet, self.rules)
             self._doors = self._make_door_searches()
 
     def get_field_maker(self) -> FieldMaker:
-        """Grid of the cost-to-go fields with the exit door shut."""
+        """Return the grid of the cost-to-go fields with the exit door shut."""
         with self.lock:
             return self.search.get_maker(True)
 
     def get_reacher(self) -> Reacher:
-        """Arm of this room's robot, which finds its postures."""
+        """Return the arm of this room's robot, which finds its postures."""
         with self.lock:
             return self.search.reacher
 
     @property
     def joint_search(self) -> JointSearch:
-        """Search for legs planned together, made on first use; to be held under the lock."""
+        """Return the search for legs planned together, made on first use; the caller holds the lock."""
         if self._joint is None and self.instance.dynamics.press_with == "hand":
             from hrl_escape.planning.search.hand_search import HandSearch  # loads Pinocchio
 
@@ -131,17 +131,17 @@ class Routes:
 
     @property
     def settings(self) -> SearchSettings:
-        """Search settings of a query that brings none: the method and the budget of these routes."""
+        """Return the search settings of a query without any: the method and the budget of these routes."""
         return SearchSettings(self.method, self.budget)
 
     def check_query(self, state: RoomState, *goals: Goal) -> None:
-        """Check a state, wherever the body stands in it, and goals. Raises `StateError`, `GoalError`."""
+        """Check a state, at any place of the body, and goals. Raises `StateError`, `GoalError`."""
         check_fields(self.rules, state)
         for goal in goals:
             check_goal(goal, self.instance)
 
     def check_primitives(self, primitives: Sequence[int]) -> tuple[int, ...]:
-        """Check primitives of a plan, indices of the room's actions, and return them. Raises `ActionError`."""
+        """Check and return the primitives of a plan, indices of the room's actions. Raises `ActionError`."""
         count = len(self.rules.actions)
         if not isinstance(primitives, Sequence) or isinstance(primitives, (str, bytes)):
             raise ActionError(primitives, count)
@@ -153,7 +153,7 @@ class Routes:
 
     @contextmanager
     def _explaining(self, state: RoomState, goal: Goal) -> Iterator[None]:
-        """Replace an error by that of `check_query` where the query is invalid; valid queries pay nothing."""
+        """Replace an error by the one of `check_query` if the query is invalid. Valid queries have no extra cost."""
         try:
             yield
         except EscapeError:
@@ -163,7 +163,7 @@ class Routes:
             raise
 
     def can_start(self, state: RoomState, goal: Goal) -> bool:
-        """Return cheaply whether planning to a goal makes sense: it is not reached yet, and no shut door blocks it."""
+        """Return whether planning to a goal is useful: it is not reached, and no shut door blocks it. Fast."""
         with self._explaining(state, goal):
             if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
                 return False
@@ -178,14 +178,14 @@ class Routes:
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
                    clock: Clock | None = None, settings: SearchSettings | None = None) -> Route:
-        """Find the route from a state to a goal, or recall it.
+        """Return the route from a state to a goal, from the cache if possible.
 
-        The report counts calls, cache hits and seconds. Without a clock, of a call that this one is part of, the
-        planner's own time limit holds, without settings its own settings.
+        The report counts calls, cache hits and seconds. `clock` is the time limit of the calling function; the default
+        is the planner's own limit. The default settings are the planner's own.
 
         Raises:
-            PlanningFailed: no route; a failure is cached like a route.
-            StateError, GoalError: an impossible state or goal.
+            PlanningFailed: there is no route; failures are cached too.
+            StateError, GoalError: an invalid state or goal.
         """
         began = read_clock()
         clock = clock or Clock(self.time_limit)
@@ -215,10 +215,10 @@ class Routes:
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
                           report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
-        """Find the route to a goal round movable things such as blocks; it is not cached.
+        """Return a route to a goal around movable objects such as blocks. It is not cached.
 
-        The body must not meet the footprints `keep_out`. `refine` says whether finer grids are searched, too, before
-        giving up; the others are as in `find_route`.
+        The body must not meet the footprints `keep_out`. `refine` sets whether finer grids are searched before giving
+        up. The other arguments are as in `find_route`.
 
         Raises:
             PlanningFailed: no route within the budget.
@@ -234,7 +234,7 @@ class Routes:
         return found
 
     def remember(self, state: RoomState, goal: Goal, primitives: Sequence[int]) -> bool:
-        """Make given primitives the route to a goal from here; False if they do not reach it or press a target."""
+        """Make given primitives the route to a goal from this state. Return False if they miss it or press a target."""
         self.check_query(state, goal)
         primitives = self.check_primitives(primitives)
         route = self.replay(state, primitives, goal)
@@ -254,16 +254,16 @@ class Routes:
             self._poses -= _count_poses(self._routes.popitem(last=False)[1])
 
     def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
-        """Cache key of a route: everything that it depends on."""
+        """Return the cache key of a route: everything that it depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
         doors = None if self._doors is None else self._doors.make_key(state, goal)
         return goal, settings, (self.is_solved(state), doors), (*get_pose(state), props)
 
     def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
-        """Route of given primitives from here, cut where the goal is reached; None if it never is.
+        """Return the route of given primitives from this state, cut where the goal is reached, or None.
 
-        The body must not meet the footprints `keep_out`; None stands for blocks that it must not move.
+        The body must not meet the footprints `keep_out`; by default, blocks that it must not move.
         """
         poses, pressed = [get_pose(state)], 0
         here = state
@@ -292,7 +292,7 @@ class Routes:
 
     def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings
                             ) -> Route | PlanningFailed:
-        """Route that keeps away from all blocks if it can, and in any case from those that must not be moved."""
+        """Return a route that avoids all blocks if possible, and otherwise those that must not be moved."""
         if isinstance(goal, GripGoal):
             return self._search_grip(state, goal, clock, settings)
         if not self.instance.props:
@@ -306,7 +306,7 @@ class Routes:
 
     def _search_grip(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                      ) -> Route | PlanningFailed:
-        """Route to the target, unless it is touched already, followed by the grip, release or use."""
+        """Return a route to the target, unless it is touched already, followed by the grip, release or use."""
         route: Route | PlanningFailed = Route((), (get_pose(state),), (), 0)
         if isinstance(self.instance.puzzle, Mapped):
             route = self._search_place(state, goal, clock, settings)
@@ -322,7 +322,7 @@ class Routes:
 
     def _search_place(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                       ) -> Route | PlanningFailed:
-        """Shortest route to a place that faces a cell in which the goal can be reached."""
+        """Return the shortest route to a place that faces a cell from which the goal can be reached."""
         for places in list_places(goal, state, self.rules):
             found = (self._search_route(state, place, clock, settings) for place in places)
             if routes := [route for route in found if isinstance(route, Route)]:
@@ -354,7 +354,7 @@ class Routes:
                      result.method, result.timed_out)
 
     def _explain(self, goal: Goal) -> str:
-        """Reason why the hand never touches a target, empty if none is known; cached by target."""
+        """Return the reason why the hand never touches a target, empty if none is known; cached by target."""
         if not isinstance(goal, PressGoal) or self.instance.dynamics.press_with != "hand":
             return ""
         if goal.target not in self._reasons:
@@ -363,7 +363,7 @@ class Routes:
         return self._reasons[goal.target]
 
     def follow(self, state: RoomState, primitives: Sequence[int]) -> tuple[RoomState, ...]:
-        """States that primitives lead through from here, the first one included."""
+        """Return the states of primitives from this state, the first one included."""
         return tuple(itertools.accumulate(primitives, lambda here, primitive: self.rules.step(here, primitive).state,
                                           initial=state))
 
@@ -377,7 +377,7 @@ class Routes:
 
 
 def _count_poses(found: Route | PlanningFailed) -> int:
-    """Memory of a cached route or failure, in poses."""
+    """Return the memory of a cached route or failure, in poses."""
     return _KEY + (len(found.poses) if isinstance(found, Route) else _KEY)
 
 

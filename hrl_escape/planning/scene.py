@@ -1,8 +1,7 @@
-"""`Scene`: a room as named things that can be added, removed, moved and held, with the planner of each version.
+"""`Scene`: a room of named objects that can be added, removed, moved and held, with a planner for each version.
 
-A scene is a value: every edit returns a new one. `Scene.instance` is the edited room, which an
-environment can be made of, so plans in a scene come true there. `Scene.planner` takes over what
-the planner of the scene before had computed, as far as the edit leaves it valid.
+A scene is a value: every edit returns a new one. Make an environment of the edited room, `Scene.instance`, to execute
+plans in it. `Scene.planner` reuses what the planner of the previous scene computed and the edit leaves valid.
 """
 
 from __future__ import annotations
@@ -36,13 +35,13 @@ _SINK = 0.02
 class Scene:
     """One version of a room.
 
-    Walls, obstacles and the door are solids, named by their role: `obstacle-1`, `wall-3`, `door`. Targets and the
-    puzzle's props keep their own names. Targets can be moved; the puzzle's rules say how many there are.
+    Walls, obstacles and the door are solids, named by their role: `obstacle-1`, `wall-3`, `door`. Targets and props
+    keep their own names. Targets can be moved, and the puzzle fixes their number.
 
     Attributes:
         instance: the room with all edits so far.
         names: names of `instance.solids`, in order.
-        held: the object in the hand; None for an empty hand.
+        held: the object in the hand, or None.
     """
 
     instance: RoomInstance
@@ -56,8 +55,8 @@ class Scene:
 
         Args:
             instance: the room.
-            state: episodes of `Scene.instance` begin where the base and the props stand in this state; None for the
-                room's own starts, which no edit may then cover.
+            state: start of the episodes of `Scene.instance`: base and props are where they are in this state. With
+                None, the room's own starts, which edits must not cover.
         """
         counts: Counter[str] = Counter()
         names = []
@@ -76,7 +75,7 @@ class Scene:
 
     @property
     def things(self) -> dict[str, Solid | Target | PlacedProp]:
-        """Every named object of the scene except the held one."""
+        """Return every named object of the scene except the held one."""
         room = self.instance
         return {**dict(zip(self.names, room.solids, strict=True)), **({"door": room.door} if room.door else {}),
                 **{target.name: target for target in room.targets},
@@ -84,23 +83,26 @@ class Scene:
 
     @cached_property
     def planner(self) -> RoomPlanner:
-        """Planner of this version; it plans as `RoomPlanner(scene.instance)` would, and is ready sooner."""
+        """Return the planner of this version. It plans as `RoomPlanner(scene.instance)` would, and is ready sooner."""
         return RoomPlanner(self.instance) if self._before is None else self._before.adapt(self.instance)
 
     # --- editing -------------------------------------------------------------------------
 
     def add(self, name: str, thing: Solid | PlacedProp) -> Scene:
-        """Add a box or cylinder that stands on the floor, or a block or plate of the puzzle.
+        """Add a box or cylinder on the floor, or a block or plate of the puzzle.
 
-        A block that is added is loose: a movable obstacle. A plate is the place where the oldest loose block belongs.
+        An added block is loose: a movable obstacle. A plate is the goal of the oldest loose block.
 
         Args:
             name: its name.
-            thing: where it stands, and its size.
+            thing: its place and size.
+
+        Returns:
+            The new scene.
 
         Raises:
-            ConfigError: the name is taken, it covers a start, a block stands in a solid, or a plate has no block.
-            UnsupportedError: the puzzle knows no blocks and plates.
+            ConfigError: the name is taken, it covers a start, a block overlaps a solid, or a plate has no block.
+            UnsupportedError: the puzzle has no blocks and plates.
         """
         if name in self.things or (self.held is not None and name == self.held.name):
             raise ConfigError("name", name, "a name that nothing else in the scene has")
@@ -117,11 +119,13 @@ class Scene:
     def remove(self, name: str) -> Scene:
         """Remove an obstacle, an interior wall, a loose block, or a plate, whose block is then loose.
 
+        Returns:
+            The new scene.
+
         Raises:
             UnknownNameError: nothing has this name.
             UnsupportedError: it is a target or the door, which belong to the puzzle.
-            ConfigError: without it the floor would not be walled in, a plate would have no block, or the puzzle no
-                plate.
+            ConfigError: the floor would be open, a plate would have no block, or the puzzle would have no plate.
         """
         thing = self._get(name)
         if isinstance(thing, PlacedProp):
@@ -137,7 +141,7 @@ class Scene:
         return self._edit(solids[:number] + solids[number + 1 :], self.names[:number] + self.names[number + 1 :])
 
     def move(self, name: str, x: float | None = None, y: float | None = None, yaw: float | None = None) -> Scene:
-        """Move a solid, a target or a prop; whatever is not given stays.
+        """Move a solid, a target or a prop. Coordinates that are not given stay.
 
         Args:
             name: its name.
@@ -145,10 +149,13 @@ class Scene:
             y: new place of its centre, m.
             yaw: new direction, rad.
 
+        Returns:
+            The new scene.
+
         Raises:
             UnknownNameError: nothing has this name.
             UnsupportedError: it is the door.
-            ConfigError: a start would be covered, a block would stand in a solid, or the floor would not be walled in.
+            ConfigError: it would cover a start, a block would overlap a solid, or the floor would be open.
         """
         room, thing = self.instance, self._get(name)
         new = {key: value for key, value in (("x", x), ("y", y), ("yaw", yaw)) if value is not None}
@@ -163,15 +170,18 @@ class Scene:
         return self._edit((*room.solids[:number], moved, *room.solids[number + 1 :]), self.names)
 
     def attach(self, name: str, state: RoomState) -> Scene:
-        """Attach an obstacle to the hand; it moves with the arm from then on and collides as a link of it.
+        """Attach an obstacle to the hand. It then moves with the arm and collides as a link of it.
 
         Args:
             name: the obstacle.
-            state: base and arm when the hand grips it; the object keeps its place in the hand's frame.
+            state: base and arm at the grip; the object keeps its place in the frame of the hand.
+
+        Returns:
+            The new scene.
 
         Raises:
             UnknownNameError: nothing has this name.
-            UnsupportedError: it is no obstacle, the robot has no arm, or the hand is full.
+            UnsupportedError: it is not an obstacle, the robot has no arm, or the hand is full.
         """
         number = self._find_solid(name, "held")
         solid, room = self.instance.solids[number], self.instance
@@ -186,6 +196,9 @@ class Scene:
 
     def detach(self, state: RoomState) -> Scene:
         """Put the held object down: upright on the floor below its place in a state.
+
+        Returns:
+            The new scene.
 
         Raises:
             UnsupportedError: the hand is empty.
@@ -237,13 +250,13 @@ class Scene:
 
 
 def _split_props(props: Sequence[PlacedProp]) -> tuple[list[PlacedProp], list[PlacedProp]]:
-    """Blocks with their plates, one after the other, and loose blocks."""
+    """Return blocks with their plates, one after the other, and loose blocks."""
     paired = 2 * sum(placed.prop.kind == "plate" for placed in props)
     return list(props[:paired]), list(props[paired:])
 
 
 def _check_blocks(room: RoomInstance) -> None:
-    """Check that no block stands in a solid or on a start. Raises `ConfigError`."""
+    """Check that no block overlaps a solid or a start. Raises `ConfigError`."""
     for placed in room.props:
         if placed.prop.kind != "block":
             continue
@@ -257,12 +270,12 @@ def _check_blocks(room: RoomInstance) -> None:
 
 
 DENSITY = 100.0
-"""Mass of a held object per volume, kg / m^3: a light box."""
+"""Density of a held object, kg / m^3, as of a light box."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HeldObject:
-    """An obstacle that a hand holds."""
+    """An obstacle held by the hand."""
 
     name: str  # its name in the scene
     solid: Solid  # the obstacle as it stood
@@ -270,14 +283,14 @@ class HeldObject:
     robot: RobotConfig  # the robot with an empty hand
 
     def put_down(self, rules: Kinematics, state: RoomState) -> Solid:
-        """The obstacle on the floor below its place in a state; rules are those of the room where it is held."""
+        """Return the obstacle on the floor below its place in a state; `rules` are the room's where it is held."""
         at = _place_hand(rules, state) @ self.placement
         return dataclasses.replace(self.solid, x=float(at[0, 3]), y=float(at[1, 3]),
                                    yaw=math.atan2(at[1, 0], at[0, 0]))
 
 
 def grip(name: str, solid: Solid, rules: Kinematics, state: RoomState) -> HeldObject:
-    """Describe an obstacle as held by the hand in a state."""
+    """Make the description of an obstacle that the hand grips in a state."""
     at = np.eye(4)
     at[:2, :2] = [[math.cos(solid.yaw), -math.sin(solid.yaw)], [math.sin(solid.yaw), math.cos(solid.yaw)]]
     at[:3, 3] = solid.x, solid.y, solid.height / 2
@@ -285,7 +298,7 @@ def grip(name: str, solid: Solid, rules: Kinematics, state: RoomState) -> HeldOb
 
 
 def give_to_hand(robot: RobotConfig, held: HeldObject) -> RobotConfig:
-    """The robot with an object fixed to its hand, as a URDF of its own."""
+    """Return the robot with an object fixed to its hand, as a new URDF."""
     made = make_robot(robot)
     whole = ElementTree.fromstring(made.urdf)
     for joint in whole.findall("joint"):
@@ -317,7 +330,7 @@ def give_to_hand(robot: RobotConfig, held: HeldObject) -> RobotConfig:
 
 
 def _place_hand(rules: Kinematics, state: RoomState) -> NDArray[np.float64]:
-    """Placement of the hand's link in the room, shape (4, 4)."""
+    """Return the placement of the hand's link in the room, (4, 4)."""
     from hrl_escape.planning.arm.model import ArmKinematics  # loads Pinocchio
 
     cos, sin = rules.get_rotation(state.heading_steps, state.heading_offset)
@@ -327,7 +340,7 @@ def _place_hand(rules: Kinematics, state: RoomState) -> NDArray[np.float64]:
 
 
 def _compute_angles(turn: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a rotation as URDF means them (turn = Rz Ry Rx), rad."""
+    """Return roll, pitch and yaw of a rotation in URDF's convention (R = Rz Ry Rx), rad."""
     pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
     if math.cos(pitch) < 1e-9:
         return 0.0, pitch, math.atan2(-turn[0, 1], turn[1, 1])

@@ -1,8 +1,8 @@
-"""`TaskMotionPlanner`: a room's task for planners that know no geometry, with costs and constraints from motion.
+"""`TaskMotionPlanner`: a room's task for planners without geometry, with costs and constraints from motion.
 
-A task is exported as PDDL whose actions cost the primitives of their legs, from where the action before ends. A leg
-without a motion is not exported. The plan of an external planner is carried out by the room's own planner; a leg that
-fails then goes back as a constraint, and the task is solved again. Solving needs the extra `pddl`.
+A task is exported as PDDL whose actions cost the primitives of their legs. Legs without a motion are left out. The
+room's planner carries out the plan of an external planner. A leg that fails becomes a constraint, and the task is
+solved again. Solving requires the extra `pddl`.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ START = "start"
 DOMAIN, ESCAPED = "task-and-motion", "escaped"
 _LEAVING = Operator(LEAVE, "exit", LEAVE, frozenset(), frozenset(), frozenset(), frozenset())
 MOST_ROUNDS = 50
-"""Plans of the symbolic planner that are tried before the task is given up."""
+"""Maximum number of plans of the symbolic planner for one task."""
 
 
 class TaskMotionPlanner:
     """Task of one room with the costs of its motion.
 
-    Actions are called `press-button-2-from-press-button-1`, and `go-to-exit-from-press-button-2` for the way to the
-    exit; `start` is the place in the first state.
+    Actions are named `press-button-2-from-press-button-1`, and `go-to-exit-from-press-button-2` for the exit. `start`
+    is the place of the first state.
 
     Args:
         planner: the room's planner.
 
     Raises:
-        UnsupportedError: the puzzle needs pushes, whose effect no plan predicts.
+        UnsupportedError: the puzzle requires pushes, whose effect cannot be predicted.
     """
 
     def __init__(self, planner: RoomPlanner) -> None:
@@ -55,14 +55,14 @@ class TaskMotionPlanner:
     # --- export of the task -----------------------------------------------------------------
 
     def compute_costs(self, state: RoomState, goals: Iterable[str] | None = None) -> dict[tuple[str, str], int]:
-        """Primitives of each leg that can be made, by (place before, operator or `go-to-exit`).
+        """Return the primitives of each feasible leg, by (previous place, operator or `go-to-exit`).
 
-        The place before is `start` or an operator, whose leg then begins where it ends if it comes first of all, or
-        else where it ends after the first operator from which it can be reached.
+        The previous place is `start` or an operator. The leg begins where this operator ends if it comes first,
+        otherwise where it ends after the first operator from which it can be reached.
 
         Args:
             state: first state.
-            goals: facts to make true; without them the task is the escape, and has legs to the exit.
+            goals: facts to make true; without them the task is the escape, with legs to the exit.
         """
         self.planner.routes.check_query(state)
         ends, costs, queue = {START: state}, {}, [START]
@@ -93,15 +93,18 @@ class TaskMotionPlanner:
 
     def export(self, state: RoomState, goals: Iterable[str] | None = None,
                forbidden: Iterable[tuple[str, str]] = ()) -> tuple[str, str]:
-        """Write the task as PDDL with action costs: (domain, problem).
+        """Write the task as PDDL with action costs.
 
         Args:
             state: first state.
-            goals: facts to make true, such as `on(button-2)`; None for the escape.
-            forbidden: legs (place before, operator or `go-to-exit`) that must not be made.
+            goals: facts to make true, such as `on(button-2)`, or None for the escape.
+            forbidden: legs (previous place, operator or `go-to-exit`) to leave out.
+
+        Returns:
+            Domain and problem, as text.
 
         Raises:
-            UnknownNameError: a goal is none of the puzzle's facts.
+            UnknownNameError: a goal is not a fact of the puzzle.
         """
         wanted = self._model.goal if goals is None else frozenset(goals)
         for fact in wanted:
@@ -127,7 +130,7 @@ class TaskMotionPlanner:
 
     def make_problem(self, state: RoomState, goals: Iterable[str] | None = None,
                      forbidden: Iterable[tuple[str, str]] = ()) -> Any:
-        """Make the task a `Problem` of unified-planning; arguments as in `export`.
+        """Make a `Problem` of unified-planning; arguments as in `export`.
 
         Raises:
             MissingExtraError: unified-planning is not installed.
@@ -137,15 +140,18 @@ class TaskMotionPlanner:
     # --- an external plan ------------------------------------------------------------
 
     def follow(self, state: RoomState, actions: Any) -> Plan:
-        """Plan the motion of an external planner's plan, each leg from the true end of the one before.
+        """Plan the motion of an external planner's plan, each leg from the end of the one before.
 
         Args:
             state: first state.
             actions: a sequential plan of unified-planning, or names of actions or operators, in order.
 
+        Returns:
+            The plan of primitives, checked by replay.
+
         Raises:
-            PlanningFailed: a leg cannot be made, or an operator's preconditions do not hold when its turn comes.
-            UnknownNameError: there is no such action.
+            PlanningFailed: a leg has no motion, or the preconditions of an operator do not hold at its turn.
+            UnknownNameError: no action has this name.
         """
         names = _list_names(actions)
         goals = [self._find_goal(name) for name in names]
@@ -175,14 +181,14 @@ class TaskMotionPlanner:
 
         Args:
             state: first state.
-            goals: facts to make true; None for the escape.
-            engine: name of a planner known to unified-planning; `fast-downward-opt` minimises the costs.
-            forbidden: legs that must not be made.
-            time_limit: of each call of the engine, s.
+            goals: facts to make true, or None for the escape.
+            engine: name of a planner of unified-planning; `fast-downward-opt` minimises the cost.
+            forbidden: legs to leave out.
+            time_limit: limit of each call of the engine, s.
 
         Raises:
             MissingExtraError: unified-planning is not installed.
-            PlanningFailed: the task has no solution that motion can carry out.
+            PlanningFailed: no solution has a feasible motion.
         """
         barred = set(forbidden)
         for _ in range(MOST_ROUNDS):
@@ -205,12 +211,12 @@ class TaskMotionPlanner:
 
 
 def _name_place(place: str) -> str:
-    """Fact that the robot is where an operator ends, or at the start."""
+    """Return the fact that the robot is where an operator ends, or at the start."""
     return f"at(place-{place})"
 
 
 def _list_names(actions: Any) -> list[str]:
-    """Names of the actions of a plan of unified-planning, or the names themselves."""
+    """Return the names of the actions of a plan of unified-planning, or the names themselves."""
     return [a if isinstance(a, str) else a.action.name for a in getattr(actions, "actions", actions)]
 
 

@@ -19,6 +19,7 @@ from hrl_escape.errors import AgentSettingsError, ConfigError, PluginError, Unkn
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 from tests.agents.training.test_resuming import SMALL
+from tests.covering import thin
 from tests.forks import run_fork
 
 ROOT = Path(__file__).parents[2]
@@ -89,7 +90,7 @@ def test_every_agent_keeps_the_protocol(name):
 
 
 @pytest.mark.nightly_for("torchrl-sac", "rainbow", "torchrl-dqn", "torchrl-ppo")
-@pytest.mark.parametrize("name", list_agents())
+@pytest.mark.parametrize("name", thin(list_agents(), 3, 2))
 def test_trap_11_no_agent_ever_takes_an_illegal_action(name):
     """Least of all the one that it likes best, once that is forbidden."""
     env = ButtonGrid(trace=True, horizon=40)
@@ -243,7 +244,8 @@ def test_an_agent_that_declares_nothing_can_do_no_more_than_the_protocol_asks():
     assert agent.get_graph() is None
 
 
-@pytest.mark.parametrize("name", list_agents())
+@pytest.mark.nightly_for("monte-carlo-model", "torchrl-sac", "fun", "vigorito-barto")
+@pytest.mark.parametrize("name", thin(list_agents(), 3, 1))
 def test_every_agent_can_do_what_it_declares(name):
     env = ButtonGrid(trace=True, horizon=40)
     agent = make_agent(name, env.observation_space, env.action_space, 0, **SMALL.get(name, {}))

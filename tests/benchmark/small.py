@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -10,7 +11,8 @@ from rich.console import Console
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.benchmark.comparison import WHOLE, Comparison, Shard, run_grid
 from hrl_escape.benchmark.grid import Grid, GridRun
-from hrl_escape.benchmark.launching.local import Launcher
+from hrl_escape.benchmark.launching.local import Launcher, Listener, report_outcome
+from hrl_escape.benchmark.launching.worker import run_guarded
 from hrl_escape.benchmark.runs import get_training_folder
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.puzzles.base import Panels
@@ -53,6 +55,15 @@ def run_quietly(grid: Grid, out: Path, launcher: Launcher | None = None, shard: 
     """Run a grid, or a part of it, silently."""
     with open("/dev/null", "w") as nowhere:
         return run_grid(grid, out, launcher, Console(file=nowhere), shard)
+
+
+class OneProcess:
+    """Launcher that executes runs in this process, one after another: no server of processes has to load libraries."""
+
+    def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
+        """Execute all runs."""
+        for run in runs:
+            report_outcome(out, run, 0, run_guarded(run, out, 10.0), listener)
 
 
 def break_checkpoint(out: Path, run: GridRun) -> Path:

@@ -121,7 +121,7 @@ def test_every_outcome_of_a_draw_is_listed_once_with_its_probability():
     assert len(found) == 6 and all(each == pytest.approx(1 / 6) for each in found.values())
 
 
-@pytest.mark.nightly_for("layered")
+@pytest.mark.nightly_for("layered", "lattice")
 @pytest.mark.parametrize(("config", "count"), [
     (GraphConfig(kind="tree"), 4),
     (GraphConfig(kind="layered", max_parents=2), 5),
@@ -398,6 +398,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     env.close()
 
 
+@pytest.mark.nightly_for("rules-360")
 @pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("wires", 120)])
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""

@@ -38,7 +38,7 @@ from tests.classic.taxi import Taxi, decode
 PSEUDO = {"get": lambda seen: 3.0, "navigate 0": lambda seen: 1.0}
 
 
-@pytest.mark.nightly_for("always")
+@pytest.mark.nightly_for("always", "never")
 @pytest.mark.parametrize("polled", ["never", "always"])
 def test_a_graph_with_pseudo_rewards_keeps_every_promise(polled):
     class Polled(StackAgent):
@@ -78,7 +78,8 @@ OWN = {
 """Agents that make their hierarchy themselves."""
 
 
-@pytest.mark.nightly_for("h-dqn", "hac", "option-keyboard", "sol", "taxi")
+@pytest.mark.nightly_for(
+    "h-dqn", "hac", "option-keyboard", "sol", "taxi", "feudal-rl", "hrac", "macro-q", "taxi, no abstraction")
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
     check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)

@@ -61,6 +61,7 @@ def test_primitives_and_their_replay_agree_to_the_bit(rung):
     assert data.begins.sum() == len(recording.option)
 
 
+@pytest.mark.nightly_for("decisions")
 @pytest.mark.parametrize("level", ["decisions", "primitives"])
 def test_blocks_of_any_size_join_to_the_whole_and_hold_few_episodes_each(level):
     data = load_data(make_recording("stitch"), observation="features", level=level)

@@ -32,6 +32,7 @@ def keep_first(recording, episodes):
     return Recording({**recording.about, "scores": {}}, **arrays)
 
 
+@pytest.mark.nightly_for("12")
 @pytest.mark.parametrize("episodes", [1, 12, 26])  # the third when the second room has begun
 def test_a_killed_recording_goes_on_to_the_same_bytes(tmp_path, episodes):
     path = tmp_path / "again.npz"
@@ -126,8 +127,9 @@ def test_what_comes_with_the_package_is_what_the_table_of_published_recordings_s
         assert known.scores == {name: round(recording.about["scores"][name], 3) for name in known.scores}
 
 
-@pytest.mark.parametrize("path", [pytest.param(path, marks=() if path.stem == "chain-expert-v1" else pytest.mark.slow)
-                                  for path in sorted(SHIPPED.glob("*.npz"))], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [
+    pytest.param(path, marks=pytest.mark.nightly if path.stem == "chain-expert-v1" else pytest.mark.slow)
+    for path in sorted(SHIPPED.glob("*.npz"))], ids=lambda path: path.stem)
 def test_what_comes_with_the_package_replays_to_the_scores_on_its_card(path):
     recording, spec = load_recording(path), parse_spec(path.stem)
     assert (recording.about["name"], recording.about["kind"], recording.about["command"]) == (

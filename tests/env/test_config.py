@@ -23,6 +23,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.places import Capsule
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.settings import Settings, describe_fields
+from tests.covering import thin
 from tests.env.rooms import all_configs
 
 PARTS: list[type[Settings]] = [
@@ -97,7 +98,7 @@ def test_a_value_of_another_type_is_refused_by_name(where, value):
     assert field.name in error.value.field
 
 
-@pytest.mark.parametrize("name", sorted(all_configs()))
+@pytest.mark.parametrize("name", thin(sorted(all_configs()), 3))
 def test_a_room_configuration_survives_its_dict(name):
     import json
 

@@ -58,7 +58,7 @@ def test_gymnasiums_checker_finds_nothing(name, kind):
         env.close()
 
 
-@pytest.mark.parametrize(("name", "kind"), thin(CHECKED, 4, 1))
+@pytest.mark.parametrize(("name", "kind"), thin(CHECKED, 8, 1))
 def test_stable_baselines3s_checker_finds_nothing(name, kind):
     from stable_baselines3.common import env_checker as checker  # brings torch, which only this test needs
     with warnings.catch_warnings():

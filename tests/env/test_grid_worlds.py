@@ -244,7 +244,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
     assert np.mean(curve[30:40]) > np.mean(curve[:10]), "something is learned"
 
 
-@pytest.mark.nightly_for("four-rooms", "puddle-world")
+@pytest.mark.nightly_for("four-rooms", "puddle-world", "foraging")
 @pytest.mark.parametrize("config", [
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
     get_preset("foraging"),
@@ -309,6 +309,7 @@ class RoundedRewards(gymnasium.RewardWrapper):
         return float(np.round(reward, 9))
 
 
+@pytest.mark.nightly
 def test_puddle_world_is_the_published_square_and_its_values_are_those_of_the_domain():
     env = RoundedRewards(gymnasium.make("hrl_escape/PuddleWorld-v1"))
     domain = Puddles()

@@ -10,7 +10,7 @@ from hrl_escape.agents import train
 from hrl_escape.errors import ConfigError, UnsupportedError, UnsupportedSpaceError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.text import RoomSession
-from tests.covering import cover
+from tests.covering import cover, thin
 
 FLAT, OPTIONS = "hrl_escape/PaperTwoButton-v1", "hrl_escape/PaperTwoButtonOptions-v1"
 VELOCITIES = "hrl_escape/EscapeRoomContinuous-v1"
@@ -21,7 +21,8 @@ LARGE = [2**63 - 1, 2**63, 2**64 - 1, 2**64, 2**70 + 1]
 STARTS = {"config": "clutter"}  # its robot starts in many places
 
 
-@pytest.mark.parametrize("seed", LARGE)
+@pytest.mark.nightly_for("hrl_escape/EscapeRoomOptions-v1-9223372036854775807")
+@pytest.mark.parametrize("seed", thin(LARGE, 2))
 @pytest.mark.parametrize("name", ["hrl_escape/EscapeRoom-v1", "hrl_escape/EscapeRoomOptions-v1", VELOCITIES])
 def test_a_seed_of_any_size_begins_the_same_episode_alone_and_in_a_batch(name, seed):
     alone = [gymnasium.make(name, **STARTS).reset(seed=seed + room)[0] for room in range(2)]
@@ -67,6 +68,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.nightly_for("drawn anew")
 @pytest.mark.parametrize("change", CHANGES)
 def test_samples_go_on_as_seeded_when_the_room_changes(change):
     name, arguments, resets = CHANGES[change]
@@ -132,6 +134,7 @@ def test_a_limit_of_steps_means_the_same_for_many_rooms_as_for_one(name, mode):
             many.reset()
 
 
+@pytest.mark.nightly_for("hrl_escape/PaperTwoButtonOptions-v1")
 @pytest.mark.parametrize("name", [FLAT, OPTIONS])
 def test_the_horizon_stays_where_a_limit_is_later_and_the_limit_is_part_of_the_description(name):
     config = {**hrl_escape.get_preset("paper-two-button").to_dict(), "horizon": 2}
@@ -183,7 +186,7 @@ def test_the_masks_of_infos_may_be_written_into(name, output):
     assert [each.tolist() for each in others] == [[True] * 3] * 3
 
 
-@pytest.mark.nightly_for("Ladder")
+@pytest.mark.nightly_for("Ladder", "PaperOneButtonOptions", "LightsOutOptions")
 @pytest.mark.parametrize("name", ["PaperOneButton", "PaperOneButtonOptions", "LightsOutOptions", "Ladder",
                                   "EscapeRoomContinuous"])
 def test_one_id_has_the_same_observations_for_one_room_and_for_many(name):

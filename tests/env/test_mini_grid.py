@@ -175,7 +175,7 @@ def find_fewest(room) -> int:
     raise AssertionError("no way")
 
 
-@pytest.mark.nightly_for("DoorKey-8x8-1")
+@pytest.mark.nightly_for("DoorKey-8x8-1", "KeyCorridorS3R3-2", "DoorKey-5x5-0", "KeyCorridorS3R2-0")
 @pytest.mark.parametrize(("name", "seed"), [
     ("DoorKey-5x5", 0), ("DoorKey-8x8", 1), ("KeyCorridorS3R2", 0), ("KeyCorridorS3R3", 2), ("MultiRoom-N2-S4", 0)])
 def test_rooms_are_minigrids_levels_transition_by_transition(name, seed):

@@ -98,7 +98,7 @@ def test_an_impossible_range_is_refused(make, word):
         make()
 
 
-@pytest.mark.nightly_for("egocentric")
+@pytest.mark.nightly_for("egocentric", "features")
 @pytest.mark.parametrize("observation", VECTORS)
 def test_every_instance_has_the_same_spaces_in_both_engines(rooms, observation):
     batched = EscapeRoomVectorEnv(len(rooms), instance=rooms, observation=observation)
@@ -121,7 +121,7 @@ def test_a_door_in_another_wall_changes_no_space(name):
     env.close()
 
 
-@pytest.mark.nightly_for("egocentric", "objects")
+@pytest.mark.nightly_for("egocentric", "objects", "features")
 @pytest.mark.parametrize("observation", VECTORS)
 def test_rooms_of_different_sizes_step_alike_in_both_engines(rooms, observation):
     batched = EscapeRoomVectorEnv(len(rooms), instance=rooms, observation=observation)

@@ -86,7 +86,8 @@ def test_a_time_penalty_makes_the_return_minus_the_length():
 
 @pytest.mark.nightly_for(
     "inner-doors-time-penalty", "inner-doors-potential", "lights-out-time-penalty", "lights-out-everything",
-    "paper-two-button-potential")
+    "paper-two-button-potential", "inner-doors-everything", "paper-two-button-time-penalty",
+    "paper-two-button-everything")
 @pytest.mark.parametrize("reward", [PotentialReward(gamma=0.95), TimePenaltyReward(), EverythingReward(0.5)],
                          ids=lambda reward: reward.kind)
 @pytest.mark.parametrize("preset", ["paper-two-button", "inner-doors", "lights-out"])

@@ -102,7 +102,7 @@ def find_hands_by_bullet(robot: Robot, angles: np.ndarray, folder: Path) -> np.n
     return np.array(hands)
 
 
-@pytest.mark.nightly_for("franka-panda")
+@pytest.mark.nightly_for("franka-panda", "franka-panda, 3 of its joints")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_hand_is_where_pinocchio_and_bullet_have_it(name: str, tmp_path: Path):
     robot = make_robot(ROBOTS[name])

@@ -29,7 +29,7 @@ def to_list(value):
     return value.tolist() if hasattr(value, "tolist") else list(value)
 
 
-@pytest.mark.parametrize("name", thin(sorted(set(PRESETS) - {"push-block"}), 3))
+@pytest.mark.parametrize("name", thin(sorted(set(PRESETS) - {"push-block"}), 6))
 def test_make_vec_gives_the_batched_engine_for_every_preset(name):
     env = gymnasium.make_vec(f"hrl_escape/{make_env_name(name)}-v1", num_envs=5)
     assert isinstance(env.unwrapped, EscapeRoomVectorEnv)

@@ -14,6 +14,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.floor.clearance import CollisionMap
+from tests.covering import thin
 from tests.env.bullet_world import BulletWorld
 
 
@@ -37,6 +38,7 @@ def sample_near_surfaces(collision: CollisionMap, rng: np.random.Generator, coun
     return np.concatenate([points[:count], near[:count]])
 
 
+@pytest.mark.nightly_for("True-clutter", "False-clutter")
 @pytest.mark.parametrize("name", ["clutter", "paper-two-button", "twenty-button"])
 @pytest.mark.parametrize("shut", [True, False])
 def test_free_places_are_those_of_the_exact_geometry(name, shut):
@@ -120,7 +122,7 @@ def test_a_goal_inside_a_solid_is_a_proof_that_the_body_never_fits_there():
     assert collision.find_proof(0, -3, make_footprint(90, 4, 0.1, 0.1), 1.5) == "solid"
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", thin(range(6), 3))
 def test_nothing_that_the_room_is_certified_for_is_proven_impossible(seed):
     config = RoomConfig(room=ShapeConfig(rooms=4), robot=RobotConfig(body_radius=0.4),
                         obstacles=ObstaclesConfig(count=25, size_max=1.5))

@@ -170,7 +170,9 @@ def test_moves_land_where_the_rules_end_them(robot, size):
     assert (landing[~fits] == -1).all() and beside > 0
 
 
-@pytest.mark.nightly_for("box-press-None", "box-exit-None", "box-press-facing1")
+@pytest.mark.nightly_for(
+    "box-press-None", "box-exit-None", "box-press-facing1", "disc-press-None", "disc-press-facing1",
+    "disc-exit-facing1", "box-exit-facing1")
 @pytest.mark.parametrize("facing", [None, (0, 3)])
 @pytest.mark.parametrize("goal", [PressGoal(1), ExitGoal()], ids=["press", "exit"])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
@@ -227,7 +229,7 @@ def sweep_all(scene, places, turns, moves, needs):
     return found
 
 
-@pytest.mark.nightly_for("disc-size0")
+@pytest.mark.nightly_for("disc-size0", "box-size0")
 @pytest.mark.parametrize("size", [(9.0, 5.0), pytest.param((5.0, 9.0), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("robot", [DISC, BOX], ids=["disc", "box"])
 def test_sweeps_and_clearances_are_those_of_all_solids_from_anywhere_on_the_floor(robot, size):

@@ -35,7 +35,7 @@ def make_env(config="paper-two-button", kind="maxq", low_level="planned", **argu
     return HierarchyEnv(EscapeRoomEnv(config), kind, low_level, **arguments)
 
 
-@pytest.mark.nightly_for("ham-four-button-chain")
+@pytest.mark.nightly_for("ham-four-button-chain", "landmarks-paper-two-button")
 @pytest.mark.parametrize(("kind", "preset"), cover(["maxq", "ham", "landmarks"],
                                                    ["paper-two-button", "four-button-chain"]))
 def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episodes(kind, preset):
@@ -78,7 +78,7 @@ def test_a_synthesised_task_graph_keeps_every_promise(low_level, abstract):
                     make_env(TINY, low_level=low_level), primitives=200)
 
 
-@pytest.mark.nightly_for("landmarks-planned")
+@pytest.mark.nightly_for("landmarks-planned", "feudal-planned", "feudal-learned")
 @pytest.mark.parametrize("low_level", LOW_LEVELS)
 @pytest.mark.parametrize("kind", ["landmarks", "feudal"])
 def test_goals_and_cells_keep_every_promise(kind, low_level):

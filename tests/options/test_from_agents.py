@@ -39,6 +39,7 @@ from tests.classic.empty_room import GRID as ROOM
 from tests.classic.empty_room import EmptyRoom
 from tests.classic.four_rooms import GRID, HALLWAYS, FourRooms
 from tests.classic.taxi import DEPOTS, Taxi
+from tests.covering import thin
 
 ALL = np.ones(4, np.bool_)
 GOALS = GoalSet(len(HALLWAYS), lambda observation, goal: observation == HALLWAYS[goal])
@@ -272,7 +273,7 @@ OTHERS = ("option-critic", "a2oc", "dac", "diayn", "ppoc", "hrc")
 """Agents whose options are tested elsewhere: some give options of their own, one wants bits."""
 
 
-@pytest.mark.parametrize("name", [name for name in list_agents() if name not in OTHERS])
+@pytest.mark.parametrize("name", thin([name for name in list_agents() if name not in OTHERS], 3))
 def test_any_agent_gives_its_policy(name):
     lake = gymnasium.make("FrozenLake-v1")
     agent = make_agent(name, lake.observation_space, lake.action_space, 0, **SMALL.get(name, {}))

@@ -16,7 +16,7 @@ IDS = ["hrl_escape/EscapeRoomOptions-v1", *(f"hrl_escape/{make_env_name(name)}Op
 
 
 @pytest.mark.nightly_for("hrl_escape/PuddleWorldOptions-v1", "hrl_escape/FactoredOptions-v1")
-@pytest.mark.parametrize("name", thin(IDS, 3))
+@pytest.mark.parametrize("name", thin(IDS, 6))
 def test_every_preset_has_an_id_whose_environment_passes_the_checker(name):
     env = gymnasium.make(name, disable_env_checker=True, observation="features")
     try:

@@ -54,7 +54,7 @@ def run_meta_actions(config: RoomConfig, runs: int, seed: int = 0) -> Counter:
 
 
 @pytest.mark.nightly_for("puddle-world")
-@pytest.mark.parametrize("name", thin([*PRESETS], 3, 2))
+@pytest.mark.parametrize("name", thin([*PRESETS], 6, 2))
 def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
     instance = generate(get_preset(name), 0)
     operators = instance.puzzle.symbolic.make_symbolic_model().operators

@@ -564,7 +564,7 @@ def test_impossible_arguments_are_refused(arguments, error):
 
 
 def test_an_environment_that_is_no_room_comes_without_options():
-    with pytest.raises(UnsupportedError, match="is no room, for which a planner makes options"):
+    with pytest.raises(UnsupportedError, match="is not a room, so there are no planned options"):
         OptionsEnv(gymnasium.make("CartPole-v1"))
 
 

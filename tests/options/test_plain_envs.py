@@ -241,8 +241,8 @@ def test_taking_over_an_episode_that_runs():
 
 
 @pytest.mark.parametrize(("options", "error", "message"), [
-    (None, UnsupportedError, "no room, for which a planner makes options"),
-    ([lambda cell: EAST], OptionError, "is no option"),
+    (None, UnsupportedError, "not a room, so there are no planned options"),
+    ([lambda cell: EAST], OptionError, "is not an Option"),
     ([go("5")], OptionError, "name of a primitive"),
     ([go(), go()], OptionError, "names must differ"),
 ])
@@ -302,7 +302,8 @@ def test_tables_of_probabilities_are_drawn_from_and_are_markov_only_if_certain()
 
 
 @pytest.mark.parametrize(("policy", "termination", "message"), [
-    ([[0.5, 0.4]], [0], "not those of a choice"), ([[1.5, -0.5]], [0], "not those"), ([1], [1.5], "no probability"),
+    ([[0.5, 0.4]], [0], "must be non-negative and sum to 1"), ([[1.5, -0.5]], [0], "non-negative and sum to 1"),
+    ([1], [1.5], "must be from 0 to 1"),
 ])
 def test_impossible_tables_are_refused(policy, termination, message):
     with pytest.raises(OptionError, match=message):

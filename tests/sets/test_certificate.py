@@ -215,7 +215,7 @@ def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
 
 
 @pytest.mark.parametrize(("source", "name"), thin([(source, rung.name) for source in list_benchmarks()
-                                                   for rung in load_benchmark(source)], 4))
+                                                   for rung in load_benchmark(source)], 8))
 def test_every_rung_gives_relabelled_rooms_of_one_shape(source, name):
     rung = load_benchmark(source)[name]
     rooms = [rung.train[0], rung.test[0], rung.valid[0], *([rung.test_task[0]] if rung.test_task else [])]

@@ -18,6 +18,7 @@ from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets import InstanceSet
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
+from tests.covering import thin
 from tests.sets.small import make_manifest
 
 
@@ -126,7 +127,7 @@ def test_a_batch_holds_every_room_of_the_set(rooms):
 
 
 @pytest.mark.nightly_for("house", "clutter")
-@pytest.mark.parametrize("rung", [rung.name for rung in load_benchmark("ladder-1")])
+@pytest.mark.parametrize("rung", thin([rung.name for rung in load_benchmark("ladder-1")], 3))
 def test_rooms_of_a_rung_offer_the_same_goals_in_the_same_order(rung):
     """Else no learner of options could go from one to the next."""
     rooms = load_benchmark("ladder-1")[rung].train

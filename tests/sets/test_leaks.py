@@ -122,11 +122,10 @@ def check(kind: str, rooms: int, permutations: int = 200) -> None:
     assert varying >= 8 and leaks == []
 
 
-@pytest.mark.nightly_for("deceptive")
-@pytest.mark.parametrize("kind", [
-    pytest.param(kind, marks=() if kind in ("deceptive", "places") else pytest.mark.nightly) for kind in REGULARITIES])
-def test_nothing_tells_of_the_graph_before_the_first_press(kind):
-    check(kind, 120)
+@pytest.mark.parametrize(("kind", "rooms"), [
+    ("places", 24), *(pytest.param(kind, 120, marks=pytest.mark.nightly) for kind in REGULARITIES)])
+def test_nothing_tells_of_the_graph_before_the_first_press(kind, rooms):
+    check(kind, rooms)
 
 
 @pytest.mark.slow

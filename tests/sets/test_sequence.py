@@ -270,6 +270,7 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
         assert len({find_motif(room) for room in rooms}) == 1 and len({room.id for room in rooms}) == 3
 
 
+@pytest.mark.nightly
 def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_nothing_repeats():
     spec, tower = AgentSpec.parse("bayes"), repeat_set(SAME, 2)
     presses = {}

@@ -6,13 +6,14 @@ import pytest
 
 from hrl_escape.agents.agent import make_transition
 from hrl_escape.text import RoomSession
+from tests.covering import thin
 from tests.text.rooms import RUNGS, get_room, make_env, play_manager, play_reference
 
 SEARCH_BASELINES = ("search-random", "search-nearest", "search-backtrack", "sweep")
 
 
 @pytest.mark.nightly_for("clutter", "freight")
-@pytest.mark.parametrize("rung", RUNGS)
+@pytest.mark.parametrize("rung", thin(RUNGS, 2, 1))
 def test_a_searcher_that_reads_the_text_alone_does_what_the_searcher_that_reads_the_room_does(rung: str):
     room = get_room(rung)
     expected, _ = play_reference("search-random", room, 7)
@@ -39,7 +40,7 @@ def through_the_tools(name: str, rung: str, number: int, seed: int) -> None:
 
 
 @pytest.mark.nightly_for("freight", "clutter")
-@pytest.mark.parametrize("rung", RUNGS)
+@pytest.mark.parametrize("rung", thin(RUNGS, 2))
 def test_calls_made_one_by_one_lead_to_the_states_of_the_searcher(rung: str):
     through_the_tools("search-nearest", rung, 1, 3)
 

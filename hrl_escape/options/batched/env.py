@@ -1,9 +1,9 @@
-"""`BatchedOptionsEnv`: thousands of rooms in which decisions of different durations run side by side.
+"""`BatchedOptionsEnv`: thousands of rooms with decisions of different durations side by side.
 
-Every step runs one primitive in every room and returns the decisions that ended with it, with the SMDP fields of
-`OptionsEnv`; a room takes its next decision as soon as the last one ends. The rules are the batched engine's; one step
-is `stepping.py`. The rooms' planners on the host order goals, for options that carry out ancestors first, and find
-primitives where the fields make no progress.
+Every step runs one primitive in every room and returns the decisions that ended, with the SMDP fields of `OptionsEnv`.
+A room takes its next decision as soon as the last one ends. The rules are the batched engine's, and one step is in
+`stepping.py`. Planners on the host order goals for options that carry out ancestors first, and find primitives where
+the fields make no progress.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ class HostPlanner:
         self._planners: dict[int, tuple[RoomPlanner, tuple[BatchGoal, ...]]] = {}  # and the goals of the options
 
     def order(self, running: OpenDecisions, where: Tensor, options: Tensor) -> OpenDecisions:
-        """List the ancestors of options, int64 (rooms,), and these options, in the order to carry them out.
+        """Return the ancestors of options, int64 (rooms,), and these options, in the order to carry them out.
 
-        `where` are the rooms that need an order, bool (rooms,); their next goal is still `NOT_ASKED` where the
+        `where` marks the rooms that need an order, bool (rooms,). Their next goal stays `NOT_ASKED` if the
         preconditions cannot be met.
         """
         at = where.nonzero().squeeze(1)
@@ -99,7 +99,7 @@ class HostPlanner:
         """Plan from the present states of the rooms of `where`, bool (rooms,), to their goals.
 
         Returns:
-            The decisions with the beginnings of their plans, and the rooms in which planning failed, bool (rooms,).
+            The decisions with the beginnings of their plans, and the rooms whose planning failed, bool (rooms,).
         """
         at = where.nonzero().squeeze(1)
         has_failed = torch.zeros_like(where)
@@ -113,9 +113,9 @@ class HostPlanner:
         return running._replace(plan=plan, plan_left=left), has_failed
 
     def _read(self, at: Tensor, goal: Tensor) -> Iterator[tuple[RoomPlanner, RoomState, Sequence[BatchGoal], int]]:
-        """Planner, state, goals and the number of the goal of the rooms numbered `at`, int64 (some,).
+        """Return planner, state, goals and the number of the goal of the rooms numbered `at`, int64 (some,).
 
-        `goal` are the numbers of all rooms, int64 (rooms,).
+        `goal` holds the numbers of all rooms, int64 (rooms,).
         """
         states = self._room.get_room_states(at.tolist())
         for number, state, aim in zip(self._room.state.instance[at].tolist(), states, goal[at].tolist(), strict=True):
@@ -141,12 +141,12 @@ class HostPlanner:
 
 
 def _align(rows: Sequence[Sequence[int]], length: int, filler: int) -> Tensor:
-    """Short lists as columns of a table, (length, lists), aligned to its end."""
+    """Return short lists as columns of a table, (length, lists), aligned to its end."""
     return torch.tensor([[filler] * (length - len(row)) + list(row) for row in rows]).T.contiguous()
 
 
 class PostureChooser:
-    """Chooses postures for the rooms of a batch, by a compiled kernel or not."""
+    """Chooses postures for the rooms of a batch, with or without a compiled kernel."""
 
     def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
         self._room, self._aims = room, fields.aims
@@ -180,14 +180,14 @@ def compile_step(function: Callable[..., Any], constants: tuple, device: str, th
                  ) -> CompiledStep:
     """Compile a function of constants and tensors for one shape of batch.
 
-    Between ways as long as each other the last bit decides: it is a CPU's, which costs two fifths of an accelerator's
-    rate.
+    Rounding is the same as on a CPU, because the last bit decides between routes of equal length. This costs two fifths
+    of an accelerator's rate.
     """
     return CompiledStep(partial(function, *constants), device, threads, rounds_alike=True)
 
 
 BATCHED_SETS = ("press", "press-with-ancestors")
-"""Option sets that a batch has."""
+"""Option sets that batches support."""
 _PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
 _SHARED = ("options", "include_primitives", "discount", "option_set", "interruptible", "max_duration")
 """Arguments that `OptionsEnv` has, too."""
@@ -201,40 +201,41 @@ DecisionKernel: TypeAlias = Callable[[TensorState, OpenDecisions, AgentView, Ten
 class BatchedOptionsEnv:
     """Many rooms whose robots choose among options and primitives, each at its own pace.
 
-    Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
-    (unless `include_primitives` is false), then meta-actions such as `press-button-1`, and `go-to-exit`. Robots press,
-    grip and release; a puzzle in which they grip has at most 20,000 states and watches no primitive. Pushes, and maps
-    whose doors shut again, are left to `OptionsEnv`, whose options follow plans. Here they are greedy on cost-to-go
-    fields, computed once per instance, and ask the planner only where these lead nowhere; they reach the same goals in
-    about as many primitives. A press by hand weighs base against joints: it goes where the hand touches the target in
-    one of 64 postures, by the least sum of what base and arm have left.
+    Actions have the same numbers, names and masks as in `OptionsEnv` on the same instance: primitives (unless
+    `include_primitives` is false), then options such as `press-button-1`, and `go-to-exit`.
 
-    A learner's loop::
+    Batched options press, grip and release. A puzzle with grips has at most 20,000 states and does not watch
+    primitives. Pushes, and maps with doors that shut again, require `OptionsEnv`. Batched options are greedy on
+    cost-to-go fields, computed once per instance, and use the planner where these make no progress. They reach the same
+    goals in about as many primitives. A press by hand minimises the sum of what base and arm have left, over 64
+    postures.
 
-        seen = env.reset(torch.arange(env.count))
+    A training loop::
+
+        env.reset(torch.arange(env.count))
         while learning:
             action = choose(env.observation, env.action_mask)     # read only where env.is_waiting
             done = env.step(action)
             rows = done.where.nonzero().squeeze(1)
             replay.add(*(field[rows] for field in done[1:]))
 
-    All tensors are on `device`, rooms first. A room's course depends on its own seed and actions, never on the rest
-    of the batch.
+    All tensors are on `device`, rooms first. A room depends on its own seed and actions, and not on the rest of the
+    batch.
 
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
         observation: name of a vector observation.
-        options: an `OptionDegradation`, whose options fail, stop early, waste time or are missing as they would in
-            `OptionsEnv`; None for whole ones.
+        options: an `OptionDegradation`, to degrade options as in `OptionsEnv`, or None.
         include_primitives: whether primitives are actions too.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
-        option_set: with `options=None`: one of `BATCHED_SETS`: `press`, or `press-with-ancestors`, for which the
-            planner is asked for the order of goals as such a decision begins.
-        interruptible: return to the agent after every primitive of an option, `interrupted`; choosing the same option
-            again continues it, choosing another drops it.
-        max_duration: primitives after which an option is ended (`timeout`), interruptions included; None for no limit.
-        autoreset: begin the next episode of a room as soon as one ends; else it stands still until `reset`.
+        option_set: name of the default option set, one of `BATCHED_SETS`. `press-with-ancestors` asks the planner for
+            the order of goals at the start of a decision.
+        interruptible: return to the agent after every primitive of an option, with `interrupted`. Choosing the same
+            option again continues it, and choosing another drops it.
+        max_duration: primitives after which an option ends with `timeout`, interruptions included, or None for no
+            limit.
+        autoreset: start the next episode of a room as soon as one ends; otherwise the room waits for `reset`.
         rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` and `compile`; see `Rooms`.
 
     Attributes:
@@ -242,14 +243,14 @@ class BatchedOptionsEnv:
         count: number of rooms.
         device: device of all tensors.
         action_names: names of the actions.
-        actions: their number.
+        actions: number of actions.
         gamma: discount per primitive; see `set_option_discount`.
         observation_space: of one room.
         action_space: of one room.
 
     Raises:
-        UnsupportedError: the batched engine cannot step these rooms, or has no such options.
-        ConfigError: an argument is impossible.
+        UnsupportedError: the batched engine does not support these rooms or options.
+        ConfigError: an argument is invalid.
     """
 
     def __init__(
@@ -307,7 +308,7 @@ class BatchedOptionsEnv:
         return compiled.bind(self.room.tables, self._fields)
 
     def set_option_discount(self, gamma: float) -> None:
-        """Set the discount per primitive, in [0, 1]; decisions in progress keep what they have gathered."""
+        """Set the discount per primitive, in [0, 1]. Running decisions keep the rewards they have."""
         if not 0.0 <= gamma <= 1.0:
             raise ConfigError("BatchedOptionsEnv.discount", gamma, "a number from 0 to 1")
         if gamma != self.gamma:
@@ -317,43 +318,43 @@ class BatchedOptionsEnv:
     # --- observations and masks --------------------------------------------------------------
 
     def _get_begun(self) -> tuple[AgentView, OpenDecisions]:
-        """Present view and decisions. Raises `ResetNeededError` before the first reset."""
+        """Return the present view and decisions. Raises `ResetNeededError` before the first reset."""
         if self._view is None or self._running is None:
             raise ResetNeededError("call reset() with seeds first: no episode has begun")
         return self._view, self._running
 
     @property
     def observation(self) -> Tensor:
-        """Present observation of the rooms, after any automatic reset, float32 (rooms, numbers)."""
+        """Return the present observation of the rooms, after any automatic reset, float32 (rooms, numbers)."""
         return self._get_begun()[0].observation
 
     @property
     def action_mask(self) -> Tensor:
-        """Actions legal now, bool (rooms, actions)."""
+        """Return the legal actions, bool (rooms, actions)."""
         return self._get_begun()[0].mask
 
     @property
     def is_waiting(self) -> Tensor:
-        """Rooms that take an action at the next step, bool (rooms,)."""
+        """Return which rooms take an action at the next step, bool (rooms,)."""
         return (self._get_begun()[1].action < 0) & ~self.is_over
 
     @property
     def is_over(self) -> Tensor:
-        """Rooms whose episode has ended and that wait for `reset`, bool (rooms,)."""
+        """Return which rooms have finished their episode and wait for `reset`, bool (rooms,)."""
         return self.room.state.has_ended != 0
 
     # --- episodes ----------------------------------------------------------------------------
 
     def reset(self, seeds: Tensor | int | None = None, where: Tensor | None = None) -> Tensor:
-        """Begin new episodes; decisions in progress in these rooms are dropped.
+        """Start new episodes. Running decisions in these rooms are dropped.
 
         Args:
-            seeds: keys of the rooms' random numbers, int64 (rooms,), or a whole number of at least 0 that room i adds
-                i to; None continues the present streams.
-            where: rooms to reset, bool (rooms,); None resets all.
+            seeds: keys of the rooms' random numbers, int64 (rooms,), or a whole number of at least 0 to which room i
+                adds i. None continues the present streams.
+            where: rooms to reset, bool (rooms,), or None for all.
 
         Returns:
-            The observation of all rooms.
+            The observation of all rooms, float32 (rooms, numbers).
 
         Raises:
             ResetNeededError: the rooms were never seeded.
@@ -374,18 +375,18 @@ class BatchedOptionsEnv:
         return self._view.observation
 
     def step(self, action: Tensor) -> Transitions:
-        """Give waiting rooms their decisions and run one primitive in every room.
+        """Pass decisions to the waiting rooms and run one primitive in every room.
 
         Args:
-            action: int64 (rooms,) on the rooms' device; read only where `is_waiting`. A negative one leaves the room
-                waiting as it is.
+            action: int64 (rooms,) on the rooms' device; read only where `is_waiting`. A negative action leaves the room
+                waiting.
 
         Returns:
             The decisions that ended with this primitive.
 
         Raises:
-            ActionError: an action outside the table. On an accelerator, where the check would stall it, such an action
-                is clamped to the nearest number.
+            ActionError: an action outside the table. On an accelerator, such an action is clamped instead, because the
+                check would stall it.
             BatchError: another shape, dtype or device.
             ResetNeededError: no episode has begun, or all have ended.
         """
@@ -405,23 +406,23 @@ class BatchedOptionsEnv:
     # --- one of the rooms, and checkpoints -----------------------------------------------------
 
     def make_single_env(self) -> gymnasium.Env:
-        """Make an `OptionsEnv` of the same rooms, options and observation; its options follow plans."""
+        """Make an `OptionsEnv` of the same rooms, options and observation. Its options follow plans."""
         env = EscapeRoomEnv(**self.rooms.list_single_arguments())
         return OptionsEnv(env, **{name: self._arguments[name] for name in _SHARED})
 
     def describe(self) -> dict[str, Any]:
-        """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
+        """Return the arguments that decide the numbers, as JSON values; rooms are given by their ids."""
         options = self._arguments["options"]
         return self.rooms.describe() | self._arguments | {"options": options and options.to_dict()}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return episodes and decisions in progress, as arrays."""
+        """Return episodes and running decisions, as arrays."""
         view, running = self._get_begun()
         return {name: {key: field.cpu().numpy() for key, field in part._asdict().items()}
                 for name, part in (("rooms", self.room.state), ("view", view), ("running", running))}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where `state_dict` was taken, in as many of the same rooms."""
+        """Restore a state from `state_dict`, in as many of the same rooms."""
         def take(part: dict[str, Any]) -> dict[str, Tensor]:
             return {name: torch.from_numpy(np.array(field)).to(self.device) for name, field in part.items()}
 
@@ -464,7 +465,7 @@ class BatchedOptionsEnv:
 
 
 def _read_options(options: OptionDegradation | None, option_set: str) -> OptionDegradation:
-    """`options` and `option_set` as one value, which has no effect for whole options; refuses what a batch has not."""
+    """Return `options` and `option_set` as one value. Raises for options that batches do not support."""
     if options is not None and not isinstance(options, OptionDegradation):
         raise UnsupportedError(f"options = {show_value(options)}: a batch has meta-actions only, whole or worse by an "
                                "OptionDegradation; OptionsEnv runs any options, in one room")

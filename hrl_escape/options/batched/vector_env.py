@@ -1,7 +1,7 @@
 """Thousands of rooms with options as one Gymnasium `VectorEnv`: a step is one decision of every room.
 
 `gymnasium.make_vec("hrl_escape/PaperTwoButtonOptions-v1", num_envs=1024)` makes one. A room whose decision has ended
-stands still until the last one's has; `get_streams` gives the same rooms, each at its own pace, as `train` uses them.
+waits for the others. `get_streams` returns the same rooms, each at its own pace, as `train` uses them.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives")
 
 
 class OptionsVectorEnv(BatchVectorEnv):
-    """Many rooms in which every step takes one decision of each; see `OptionsEnv` for the task and the actions.
+    """Many rooms with one decision per room and step; see `OptionsEnv` for the task and the actions.
 
     `infos` holds arrays over rooms: `action_mask` (bool); `duration`, `discount`, `summed_reward`, `discounted_reward`
-    and `pressed`, as `OptionsEnv` gives them; `ended` (an index into `ENDINGS`), `primitives` (of the episode so far)
-    and `is_success`. At a reset they are those of a decision in which nothing ran. The three kinds of automatic reset
-    are those of `EscapeRoomVectorEnv`.
+    and `pressed`, as in `OptionsEnv`; `ended` (an index into `ENDINGS`), `primitives` (of the episode so far) and
+    `is_success`. At a reset they describe an empty decision. The three kinds of automatic reset are as in
+    `EscapeRoomVectorEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -45,13 +45,13 @@ class OptionsVectorEnv(BatchVectorEnv):
         render_mode: must be None.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device.
-        max_episode_steps: decisions after which an episode is truncated, as `gymnasium.make` counts them; None for the
-            room's horizon alone.
-        arguments: all other arguments of `BatchedOptionsEnv`.
+        max_episode_steps: decisions after which an episode is truncated, as `gymnasium.make` counts them, or None for
+            the room's horizon alone.
+        arguments: further arguments of `BatchedOptionsEnv`.
 
     Raises:
-        UnsupportedError: `render_mode`, or an argument that only `OptionsEnv` has.
-        ConfigError: an impossible argument.
+        UnsupportedError: `render_mode`, or an argument that only `OptionsEnv` supports.
+        ConfigError: an argument is invalid.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -80,7 +80,7 @@ class OptionsVectorEnv(BatchVectorEnv):
 
     @property
     def device(self) -> torch.device:
-        """Device of the rooms."""
+        """Return the device of the rooms."""
         return self._batch.device
 
     def get_streams(self) -> BatchedOptionsEnv:
@@ -117,17 +117,17 @@ class OptionsVectorEnv(BatchVectorEnv):
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
               ) -> tuple[Any, dict[str, Any]]:
-        """Begin new episodes, in all rooms or in those of `options["reset_mask"]`, bool (num_envs,)."""
+        """Start new episodes, in all rooms or in the rooms of `options["reset_mask"]`, bool (num_envs,)."""
         self._check_open()
         where = self._read_mask(options)
         self._begin(self._make_seeds(seed), where)
         return self._give(self._batch.observation), self._inform(None, self._batch.action_mask, {})
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Run one decision in every room, or the reset that takes its place.
+        """Run one decision in every room, or the reset that replaces it.
 
         Args:
-            actions: whole numbers (num_envs,), a numpy array, a list, or a tensor on the rooms' device.
+            actions: whole numbers (num_envs,), as a numpy array, a list, or a tensor on the rooms' device.
         """
         self._check_open()
         batch = self._batch
@@ -149,7 +149,7 @@ class OptionsVectorEnv(BatchVectorEnv):
         self._decisions = torch.zeros_like(self._decisions) if where is None else self._decisions.masked_fill(where, 0)
 
     def _cut(self, done: Transitions, idle: Tensor) -> Transitions:
-        """Truncate the episodes that have had as many decisions as they may."""
+        """Truncate the episodes that have reached the limit of decisions."""
         self._decisions = self._decisions + ~idle
         if self._most_steps is None:
             return done
@@ -160,7 +160,7 @@ class OptionsVectorEnv(BatchVectorEnv):
         return done._replace(truncated=done.truncated | (cut & ~done.terminated))
 
     def _decide(self, action: Tensor) -> Transitions:
-        """Run decisions until the last has ended; rooms with a negative action stand still."""
+        """Run decisions until the last has ended; rooms with a negative action wait."""
         first = done = self._batch.step(action)
         left = (action >= 0) & ~first.where
         held = torch.full_like(action, -1)

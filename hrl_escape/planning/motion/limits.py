@@ -1,4 +1,4 @@
-"""Limits of speed, acceleration and jerk, and the shortest time in which a plan's motions keep them."""
+"""Limits of speed, acceleration and jerk, and the shortest time of a plan within them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hrl_escape.errors import ConfigError
 
 @dataclasses.dataclass(frozen=True)
 class MotionLimits:
-    """Limits of the base, in every direction of the plane, and of the joints: one number for all, or one for each.
+    """Limits of the base, in every direction of the plane, and of the joints: one number for all, or one per joint.
 
     Attributes:
         speed: of the base's axis, m/s.
@@ -25,7 +25,7 @@ class MotionLimits:
         turn_speed: of the base, rad/s.
         turn_acceleration: of the base, rad/s^2.
         turn_jerk: of the base, rad/s^3.
-        joint_speed: of joints, rad/s; a joint never moves faster than its URDF allows.
+        joint_speed: of joints, rad/s; a joint never exceeds the speed in its URDF.
         joint_acceleration: of joints, rad/s^2.
         joint_jerk: of joints, rad/s^3.
     """
@@ -49,14 +49,14 @@ class MotionLimits:
                     raise ConfigError(f"limits.{field.name}", value, "a finite number above 0")
 
     def stack(self, names: Sequence[str], robot: Robot | None = None) -> NDArray[np.float64]:
-        """Largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
+        """Return the largest speed, acceleration and jerk of each coordinate, (coordinates, 3).
 
         Args:
             names: `x`, `y`, `heading`, and joints.
-            robot: names the joints, and caps their speeds by its URDF; None for joints in the order of `names`.
+            robot: names the joints and limits their speeds by its URDF, or None for joints in the order of `names`.
 
         Raises:
-            ConfigError: limits for another number of joints.
+            ConfigError: the limits are for another number of joints.
         """
         joints = robot.joint_names if robot else tuple(name for name in names if name not in ("x", "y", "heading"))
         own: dict[str, list[float]] = {name: [] for name in joints}
@@ -74,12 +74,12 @@ class MotionLimits:
 
 
 def compute_ramp(acceleration: float, jerk: float) -> float:
-    """Shortest time of a change of speed by one, begun and ended without acceleration."""
+    """Return the shortest time to change the speed by one, with zero acceleration at both ends."""
     return 1.0 / acceleration + acceleration / jerk if acceleration**2 <= jerk else 2.0 / math.sqrt(jerk)
 
 
 def compute_rest_to_rest(distance: float, speed: float, acceleration: float, jerk: float) -> float:
-    """Shortest time from rest to rest over a distance, s."""
+    """Return the shortest time from rest to rest over a distance, s."""
     ramp = compute_ramp(acceleration / speed, jerk / speed)
     if distance >= speed * ramp:
         return distance / speed + ramp
@@ -90,7 +90,7 @@ def compute_rest_to_rest(distance: float, speed: float, acceleration: float, jer
 
 
 def compute_duration(states: Sequence[RoomState], limits: MotionLimits, robot: Robot, turn_step: float) -> float:
-    """Shortest time to go through states one after another, s; the base rests wherever its direction changes.
+    """Return the shortest time to go through states one after another, s. The base rests where its direction changes.
 
     Each state is one primitive after the one before; `turn_step` is the angle of a turn, rad.
     """

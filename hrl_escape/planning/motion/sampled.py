@@ -1,11 +1,9 @@
-"""Trajectories by sampling, without a plan of primitives: the base's way by OMPL, a press by Pinocchio and OMPL.
+"""Trajectories by sampling, without a plan of primitives.
 
-A grip begins as a press does, or on a map at a place before the thing; so does a push, which ends in a straight line.
-
-A disc's way is planned in the plane, a rectangle's in SE(2) or, where it cannot strafe, by `drives.py`, round every
-target that is not to be pressed. A hand is brought to its target by inverse kinematics, from a place of the base where
-that has an answer, and the arm's motion is planned in joint space. What was found is played by the room's kinematics,
-and taken if it presses the target alone.
+OMPL plans the path of a disc in the plane and of a rectangle in SE(2) or, if it cannot strafe, by `drives.py`, around
+every other target. For a hand, inverse kinematics finds postures from places of the base, and the motion of the arm is
+planned in joint space. A grip begins like a press, or on a map at a place before the object. So does a push, which ends
+in a straight line. The room's kinematics replay the result, which is accepted if it presses the target alone.
 """
 
 from __future__ import annotations
@@ -50,21 +48,21 @@ from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
 from hrl_escape.planning.routes import COMPASS, list_places
 
 WAY_PLANNER = "InformedRRTstar"
-"""Planner of the base's way: asymptotically optimal."""
+"""Planner of the path of the base: asymptotically optimal."""
 WAY_CHECKS = 40_000
-"""Places that are tested for one way: the shortest found until then is taken. Where none was, as many for the first
-that RRT-Connect finds."""
+"""Places tested for one path. The shortest path found by then is taken. Without one, RRT-Connect tests as many
+again."""
 ARM_CHECKS = 20_000
-"""Configurations that are tested for one motion of the arm."""
+"""Configurations tested for one motion of the arm."""
 STANDS = 12
-"""Places of the base at which inverse kinematics looks for postures."""
+"""Places of the base where inverse kinematics searches for postures."""
 IK_SEEDS = 8
 INSIDE = 0.2
-"""Distance from the edge of a region at which a way into it ends, m."""
+"""Distance from the edge of a region where a path into it ends, m."""
 BACK = (0.005, 0.01, 0.02, 0.05)
-"""Lengths of the line by which a base that physics pressed against a solid first leaves it, m."""
+"""Lengths of the line that leaves a solid against which physics pressed the base, m."""
 AROUND = tuple(k * math.tau / 16 for k in range(16))
-"""Directions of that line beside the heading, rad."""
+"""Directions of that line relative to the heading, rad."""
 SQUARE = 0.15
 """Length of the straight line that ends at a target, m."""
 
@@ -81,13 +79,13 @@ _NO_POSTURES = np.zeros((0, 0))
 
 
 class MotionSampler(Mover):
-    """Plans trajectories to the goals of one room. Not thread-safe.
+    """Plans trajectories to the goals of one room. It is not thread-safe.
 
     Args:
         instance: the room.
-        limits: of the trajectories.
-        way_planner: OMPL's planner of the base's way, one of `OMPL_PLANNERS`.
-        seed: the same seed gives the same trajectory.
+        limits: limits of the trajectories.
+        way_planner: OMPL's planner for the path of the base, one of `OMPL_PLANNERS`.
+        seed: equal seeds give equal trajectories.
     """
 
     def __init__(self, instance: RoomInstance, limits: MotionLimits, way_planner: str = WAY_PLANNER, seed: int = 0
@@ -101,15 +99,18 @@ class MotionSampler(Mover):
         self._is_mapped = isinstance(self._room.puzzle, Mapped)  # its targets are floor
 
     def plan(self, state: RoomState, goal: Goal | str) -> TimedTrajectory:
-        """Plan a trajectory that reaches a goal, and presses no target but its own, unless on a map.
+        """Plan a trajectory that reaches a goal and presses no other target, except on a map.
 
         Args:
             state: first state.
-            goal: a goal, or its text as `RoomPlanner.plan` takes it.
+            goal: a goal, or its text as in `RoomPlanner.plan`.
+
+        Returns:
+            The trajectory, checked by the room's continuous kinematics.
 
         Raises:
             PlanningFailed: none was found, which does not prove that there is none.
-            GoalError, UnknownNameError: there is no such goal in this room.
+            GoalError, UnknownNameError: the room has no such goal.
         """
         if isinstance(goal, str):
             goal = parse_goal(goal, self._room)
@@ -122,7 +123,7 @@ class MotionSampler(Mover):
                              (state.x, state.y, self._rules.get_heading(state)), 0.0, (self._planner,))
 
     def _list_plans(self, state: RoomState, goal: Goal) -> Iterator[list[MotionPath]]:
-        """Paths of base and arm, one after another, to a goal, or to where a grip or push begins."""
+        """Yield paths of base and arm, one after another, to a goal, or to where a grip or push begins."""
         if isinstance(goal, GripGoal) and self._is_mapped:
             yield from self._list_approaches(state, goal)
         elif isinstance(goal, GripGoal) and state.touching >> goal.target & 1:
@@ -134,7 +135,7 @@ class MotionSampler(Mover):
             yield from ([way] for way in self._list_ways(state, touch))
 
     def _time(self, paths: Sequence[MotionPath], state: RoomState, goal: Goal) -> list[Press] | None:
-        """Time paths one after another; None unless together they reach the goal, and press and push nothing else."""
+        """Time paths one after another. Return None unless they reach the goal and press and push nothing else."""
         wanted, pressed, presses, before = getattr(goal, "target", None), [], [], state
         for path in paths:
             motion = time_path(path, self._rates)
@@ -155,7 +156,7 @@ class MotionSampler(Mover):
     # --- grips and pushes ----------------------------------------------------------------
 
     def _list_approaches(self, state: RoomState, goal: GripGoal) -> Iterator[list[MotionPath]]:
-        """Ways of the base to a place on the map from which the hand reaches a goal, or the base pushes it there."""
+        """Yield paths of the base to a place on the map where the hand reaches a goal, or the base pushes it."""
         x, y, heading, *angles = self._get_pose(state)
         for places in list_places(goal, state, self._rules):
             for place in places:
@@ -167,7 +168,7 @@ class MotionSampler(Mover):
             yield from ([way] for way in self._list_ways(state, ends))
 
     def _act(self, state: RoomState, goal: GripGoal) -> Press | None:
-        """Reach a goal from its place by an act of the hand at rest, or a straight push; None where it fails."""
+        """Reach a goal from its place by an act of the hand at rest, or a straight push. Return None if it fails."""
         pose, actions, side = self._get_pose(state), self._rules.actions, goal.action.partition("push-")[2]
         if not side:
             hold = Glide(0.0, 0.0, 0.0, (0.0,) * self._room.robot.joints, 0.0,
@@ -185,14 +186,14 @@ class MotionSampler(Mover):
     # --- the base ------------------------------------------------------------------------
 
     def _list_ways(self, state: RoomState, goal: Goal | Sequence[_Place]) -> Iterator[MotionPath]:
-        """Ways of the base to a goal or to any of some places, with corners rounded less and less."""
+        """Yield paths of the base to a goal or to any of some places, with corners rounded less and less."""
         points = self._find_way(state, goal)
         if points is not None:
             for margin in ROUNDINGS if self._strafes and len(points) > 2 else (0.0,):
                 yield self._make_path(points, margin)
 
     def _find_way(self, state: RoomState, goal: Goal | Sequence[_Place]) -> NDArray[np.float64] | None:
-        """Poses (n, coordinates) that OMPL finds for the base, the arm at rest; None where it finds none."""
+        """Return the poses (n, coordinates) that OMPL finds for the base with the arm at rest, or None."""
         find = self._find_drive if self._needs_room else self._find_path
         shut = self._room.door is not None and not self._room.puzzle.is_solved(state.puzzle)
         poses = find(state, goal, shut)
@@ -200,7 +201,7 @@ class MotionSampler(Mover):
                                                                           (len(poses), 1))])
 
     def _find_path(self, state: RoomState, goal: Goal | Sequence[_Place], shut: bool) -> NDArray[np.float64] | None:
-        """Poses (n, 3) of a base that strafes or turns anywhere."""
+        """Return the poses (n, 3) of a base that strafes or turns anywhere."""
         from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL
 
         heading, floor = self._rules.get_heading(state), self._avoid(state, getattr(goal, "target", None), shut)
@@ -227,7 +228,7 @@ class MotionSampler(Mover):
         return (_strafe if self._strafes else _drive)(path, heading, last)
 
     def _find_drive(self, state: RoomState, goal: Goal | Sequence[_Place], shut: bool) -> NDArray[np.float64] | None:
-        """Poses (n, 3) of a base that drives, and turns where it has the room."""
+        """Return the poses (n, 3) of a base that drives, and turns where there is room."""
         untouched, start = state._replace(touching=0), [state.x, state.y, self._rules.get_heading(state)]
         between = self._avoid(untouched, None, shut)
         floor = Floor(self._avoid(state, None, shut) if state.touching else between, between,
@@ -239,9 +240,10 @@ class MotionSampler(Mover):
         return found if found is None or begin.tolist() == start else np.concatenate([[start], found])
 
     def _back_off(self, start: tuple[float, float], heading: float, floor: CollisionMap) -> tuple[float, float]:
-        """The nearest place with the clearance that plans need, straight from one that physics left nearer to a solid.
+        """Return the nearest place with the clearance of plans.
 
-        The place itself where it has that clearance, or where none was found.
+        It lies straight from a place that physics left too near to a solid. If that place has the clearance, or none
+        was found, it is returned.
         """
         (x, y), rotation = start, (math.cos(heading), math.sin(heading))
         if not self._is_physical or floor.does_fit(x, y, rotation):

@@ -1,4 +1,4 @@
-"""`TimedTrajectory`: motion over time under limits of speed, acceleration and jerk, to sample, export, draw, drive."""
+"""`TimedTrajectory`: motion over time under limits of speed, acceleration and jerk."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
 
 EFFORT_RATE = 100.0
-"""Samples a second at which joints' efforts are computed."""
+"""Samples per second at which the efforts of joints are computed, Hz."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TimedTrajectory:
-    """Positions over time: of constant jerk between knots, which ROS's joint trajectory controllers read as cubics.
+    """Positions over time with constant jerk between knots, which ROS's joint trajectory controllers read as cubics.
 
     Attributes:
-        names: of the coordinates: `x`, `y`, `heading`, joints.
-        times: of the knots, rising from 0, shape (n,), s.
-        positions: at the knots, shape (n, coordinates), m and rad.
-        velocities: at the knots, shape (n, coordinates), m/s and rad/s.
-        limits: that it keeps.
-        contacts: when each touch of a target begins, in order; none for a path of the arm.
-        grips: when the hand grips, releases or uses, in order.
+        names: names of the coordinates: `x`, `y`, `heading`, joints.
+        times: times of the knots, rising from 0, (n,), s.
+        positions: positions at the knots, (n, coordinates), m and rad.
+        velocities: velocities at the knots, (n, coordinates), m/s and rad/s.
+        limits: limits that it keeps.
+        contacts: beginnings of touches, in order; none for a path of the arm.
+        grips: times when the hand grips, releases or uses, in order.
     """
 
     names: tuple[str, ...]
@@ -57,7 +57,7 @@ class TimedTrajectory:
 
     @property
     def duration(self) -> float:
-        """Time of the last knot, s."""
+        """Return the time of the last knot, s."""
         return float(self.times[-1])
 
     @cached_property
@@ -65,14 +65,14 @@ class TimedTrajectory:
         return CubicHermiteSpline(self.times, self.positions, self.velocities)
 
     def evaluate(self, times: ArrayLike, order: int = 0) -> NDArray[np.float64]:
-        """Positions at times within the duration, or their first or second derivatives; shape (..., coordinates)."""
+        """Return positions at times within the duration, or their first or second derivatives, (..., coordinates)."""
         return np.asarray(self._spline(np.clip(times, 0.0, self.duration), order))
 
     def sample(self, rate: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Sample at a rate in Hz; the last sample is the end.
 
         Returns:
-            Times (n,), positions (n, coordinates), velocities (n, coordinates).
+            Times (n,), s; positions (n, coordinates), m and rad; velocities (n, coordinates), m/s and rad/s.
         """
         if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0.0 < rate < math.inf:
             raise ConfigError("rate", rate, "samples a second, above 0")
@@ -89,8 +89,8 @@ class TimedTrajectory:
     def to_ros(self, rate: float = 50.0) -> dict[str, Any]:
         """Return the fields of a ROS `moveit_msgs/RobotTrajectory`, sampled at a rate in Hz.
 
-        Joints are its `joint_trajectory`; the base is the planar joint `base` of its `multi_dof_joint_trajectory`,
-        with velocities and accelerations along the room's axes. Either has no points where nothing of it moves.
+        Joints are its `joint_trajectory`. The base is the planar joint `base` of its `multi_dof_joint_trajectory`, with
+        velocities and accelerations along the room's axes. A part without motion has no points.
         """
         times, positions, velocities = self.sample(rate)
         rows = list(zip(times.tolist(), positions.tolist(), velocities.tolist(),
@@ -107,10 +107,10 @@ class TimedTrajectory:
                                                "points": base}}
 
     def save(self, path: str | Path, rate: float = 50.0) -> None:
-        """Write a file: `.json` with the knots, or `.csv` with one row a sample.
+        """Write a file: `.json` with the knots, or `.csv` with one row per sample.
 
         Raises:
-            ConfigError: another ending.
+            ConfigError: another file ending.
             FileWriteError: the file could not be written.
         """
         kind = Path(path).suffix.lower()
@@ -127,11 +127,11 @@ class TimedTrajectory:
             raise ConfigError("path", str(path), "a name that ends in .json or .csv")
 
     def draw(self, instance: RoomInstance, path: str | Path | None = None) -> Any:
-        """Draw the base's way on the room's map, with dots where touches begin and where the hand acts.
+        """Draw the path of the base on the room's map, with dots where touches begin and where the hand acts.
 
         Args:
             instance: the room.
-            path: PNG, SVG or PDF to write; None only returns the figure.
+            path: PNG, SVG or PDF file to write, or None to only return the figure.
 
         Returns:
             The matplotlib figure.
@@ -154,19 +154,22 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
                     ) -> TimedTrajectory:
     """Make a trajectory of a plan, or of a path of `ArmPlanner`.
 
-    That of a plan presses the plan's targets in the plan's order and no other, grips and pushes what the plan does, and
-    touches no solid, in the room's own continuous kinematics; it rests after each press, and at each grip. Corners are
-    rounded as far as that stays so.
+    The trajectory of a plan presses the same targets in the same order, makes the same grips and pushes, and touches no
+    solid, in the continuous kinematics of the room. It rests after each press and at each grip. Corners are rounded as
+    far as this still holds.
 
     Args:
         motion: the plan or the path.
-        limits: of speed, acceleration and jerk; None for the defaults of `MotionLimits`.
+        limits: limits of speed, acceleration and jerk, or None for the defaults of `MotionLimits`.
         clearance: distance that the base keeps from solids where it can, m; for plans.
 
+    Returns:
+        The trajectory.
+
     Raises:
-        ConfigError: nothing moves, a joint would go beyond its limits (it may begin up to `SOFT_LIMIT` beyond), its
-            effort does not hold the arm, or the clearance is no number from 0 on.
-        UnsupportedError: no trajectory was found that presses and pushes what the plan does.
+        ConfigError: nothing moves, a joint would exceed its limits (it can begin up to `SOFT_LIMIT` beyond them), its
+            effort does not hold the arm, or the clearance is negative.
+        UnsupportedError: no trajectory presses and pushes what the plan does.
     """
     if not (isinstance(clearance, (int, float)) and 0 <= clearance < math.inf):
         raise ConfigError("clearance", clearance, "a number of metres from 0 on")
@@ -183,9 +186,9 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
 
 def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionLimits, robot: Robot | None, name: str
                  ) -> TimedTrajectory:
-    """Join pieces, each of which begins where the one before ends, and slow them down until the arm can do it.
+    """Join pieces, each of which begins where the one before ends, and slow them down to the limits of the arm.
 
-    All keep the limits. A bare path has no robot. The name is the motion's, for errors.
+    All pieces keep the limits. A bare path has no robot. The name is the motion's, for errors.
 
     Raises:
         ConfigError: see `make_trajectory`.
@@ -208,9 +211,9 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
 
 
 def _check_joints(names: tuple[str, ...], parts: Sequence[Press], robot: Robot | None) -> None:
-    """Check joints' limits, at the knots, as nothing in between is beyond them.
+    """Check joint limits at the knots; positions between knots do not exceed them.
 
-    A motion may begin up to `SOFT_LIMIT` beyond one, where physics left the joint, and go no further.
+    A motion can begin up to `SOFT_LIMIT` beyond a limit, where physics left the joint.
     """
     for name, (low, high) in zip(robot.joint_names, robot.limits, strict=True) if robot else ():
         column = names.index(name)
@@ -222,9 +225,10 @@ def _check_joints(names: tuple[str, ...], parts: Sequence[Press], robot: Robot |
 
 
 def _keep_efforts(trajectory: TimedTrajectory, robot: Robot) -> TimedTrajectory:
-    """Slow a motion down until no joint exceeds its effort, the base's own acceleration left out.
+    """Slow a motion down until no joint exceeds its effort, ignoring the base's acceleration.
 
-    In k times the time speeds are 1 / k and what motion asks of a joint is 1 / k^2; what holds the arm's weight stays.
+    In k times the time, speeds are 1 / k and the effort of the motion is 1 / k^2. The effort that holds the arm's
+    weight stays.
     """
     from hrl_escape.planning.arm.model import ArmKinematics  # loads Pinocchio
 
@@ -247,7 +251,7 @@ def _keep_efforts(trajectory: TimedTrajectory, robot: Robot) -> TimedTrajectory:
 
 
 def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Knots of all parts in one array, with headings that go on where the part before ended."""
+    """Return the knots of all parts in one array, with headings that continue those of the part before."""
     if "heading" in names:
         column = names.index("heading")
         last = float(knots[0][-1, column])
@@ -260,13 +264,13 @@ def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[n
 
 
 def _make_time(seconds: float) -> dict[str, int]:
-    """A ROS `builtin_interfaces/Duration`."""
+    """Return a ROS `builtin_interfaces/Duration`."""
     whole, rest = divmod(round(seconds * 1e9), 10**9)
     return {"sec": whole, "nanosec": rest}
 
 
 def _make_twist(rates: Sequence[float]) -> dict[str, dict[str, float]]:
-    """A ROS `geometry_msgs/Twist` of rates along x and y and about z."""
+    """Return a ROS `geometry_msgs/Twist` of rates along x and y and about z."""
     return {"linear": {"x": rates[0], "y": rates[1], "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rates[2]}}
 
 
@@ -277,30 +281,30 @@ SHOVE = 0.05
 LONGEST_WAIT = 2.0
 """Longest wait for a press, s."""
 APPROACH = 0.05
-"""Time before a touch whose direction is that of the push, s."""
+"""Time before a touch whose direction is the direction of the push, s."""
 STEP_SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
-"""Shares of a step by which a trajectory's clock goes on, the first that nothing blocks."""
+"""Shares of a step by which a trajectory's clock advances; the first that nothing blocks is used."""
 ASTRAY = 1e-3
-"""Distance from its first place, m or rad, at which a trajectory can still be begun."""
+"""Distance from its first place, m or rad, within which a trajectory can start."""
 
 
 class Tracker:
     """Chooses the velocities of each step, and the levels of the gripper.
 
-    Each step leads from the state reached to where the trajectory is a step later. Its clock stands still while a
-    target that it has come to is not yet pressed, and the robot pushes on; and for a step in which the hand acts. It
-    runs slower where the line between two steps meets a solid, in rooms whose blocked moves stay.
+    Each step leads from the state reached to the place of the trajectory one step later. The clock of the trajectory
+    waits while a target that it has reached is not yet pressed, and for one step while the hand acts. It runs slower
+    where the line between two steps meets a solid, in rooms whose blocked moves have no effect.
 
     Args:
-        trajectory: of base and arm.
+        trajectory: trajectory of base and arm.
         rules: the room's rules.
-        time_step: of the environment, s.
-        state: where it begins.
+        time_step: time step of the environment, s.
+        state: first state.
 
     Attributes:
         pressed: targets whose touch has begun, in order.
-        error: distance of each coordinate from the trajectory after the last step, shape (coordinates,), m and rad; 0
-            while the robot pushes.
+        error: distance of each coordinate from the trajectory after the last step, (coordinates,), m and rad; 0 while
+            the robot pushes.
 
     Raises:
         EscapeError: the trajectory has other coordinates than the robot, or begins somewhere else.
@@ -324,11 +328,11 @@ class Tracker:
 
     @property
     def is_done(self) -> bool:
-        """True at the trajectory's end."""
+        """Return whether the trajectory has ended."""
         return self._now >= self._trajectory.duration - 1e-9 and not self._acts
 
     def see(self, state: RoomState) -> None:
-        """Take in the state that the last step led to."""
+        """Update with the state that the last step led to."""
         begun = list_touched(state.touching & ~self._state.touching)
         self.pressed += begun
         if self._due and self._due[0].target in begun:
@@ -338,7 +342,7 @@ class Tracker:
         self.error = np.zeros(len(self._at)) if self._push.any() else np.abs(self._at - self._wanted)
 
     def choose(self) -> NDArray[np.float64]:
-        """Choose the action of the next step, as the environment takes it."""
+        """Return the action of the next step, as the environment takes it."""
         self._push, grip = np.zeros(len(self._at)), 0
         if self._due and self._due[0].time < self._now and self._waited < LONGEST_WAIT:
             self._waited += self._step
@@ -360,7 +364,7 @@ class Tracker:
         return np.array([cos * rates[0] + sin * rates[1], *sides, *rates[2:], *list_levels(robot, grip)])
 
     def _find_next(self) -> float:
-        """The moment of the trajectory to which the next step leads, not beyond the next act of the hand."""
+        """Return the time of the trajectory to which the next step leads, at most the next act of the hand."""
         last, rules = min([self._trajectory.duration, *(act.time for act in self._acts[:1])]), self._rules
         after = [min(self._now + share * self._step, last) for share in STEP_SHARES]
         if isinstance(rules, Kinematics) and rules.instance.dynamics.blocked == "stay":
@@ -374,11 +378,11 @@ class Tracking(NamedTuple):
     """Record of a tracked trajectory.
 
     Attributes:
-        states: after each step, the first one included.
+        states: states after each step, the first one included.
         pressed: targets whose touch began, in order.
-        errors: distance of each coordinate from the trajectory after each step, shape (steps, coordinates), m and rad.
-        end: how the episode ended; `STOPPED` where it can go on.
-        seconds: that it took.
+        errors: distance of each coordinate from the trajectory after each step, (steps, coordinates), m and rad.
+        end: how the episode ended; `STOPPED` if it can continue.
+        seconds: duration, s.
     """
 
     states: tuple[RoomState, ...]
@@ -389,7 +393,7 @@ class Tracking(NamedTuple):
 
     @property
     def distance(self) -> float:
-        """Largest distance of the base's axis from where it should have been, m."""
+        """Return the largest distance of the base's axis from the trajectory, m."""
         return float(np.hypot(self.errors[:, 0], self.errors[:, 1]).max(initial=0.0))
 
 
@@ -397,8 +401,11 @@ def track(trajectory: TimedTrajectory, env: gymnasium.Env) -> Tracking:
     """Drive a trajectory of base and arm by `Tracker`, until it or the episode ends.
 
     Args:
-        trajectory: of a plan, or of base and arm.
-        env: an `EscapeRoomContinuousEnv`, wrapped or not, where the trajectory starts.
+        trajectory: trajectory of a plan, or of base and arm.
+        env: an `EscapeRoomContinuousEnv`, wrapped or not, at the start of the trajectory.
+
+    Returns:
+        States, presses and errors.
 
     Raises:
         EscapeError: another environment, or it is somewhere else.

@@ -1,6 +1,6 @@
-"""Path planners by name: OMPL's, all behind one search through a box of coordinates, and those that a user registers.
+"""Path planners by name: OMPL's planners behind one search through a box of coordinates, and registered ones.
 
-The only module that imports OMPL. Every query is planned from nothing, so that it depends on no earlier one. The
+This is the only module that imports OMPL. Every query is planned from scratch, so it depends on no earlier one. The
 coordinates are places in the plane, or places, headings and joint angles scaled to metres of motion.
 """
 
@@ -36,29 +36,29 @@ STAGES = (5_000, 10_000, 20_000, 40_000, 80_000, 160_000, 320_000)
 
 
 def register_planner(name: str, factory: PlannerFactory) -> None:
-    """Register a path planner under a name; try it with `hrl_escape.checks.check_path_planner` first.
+    """Register a path planner under a name. Test it with `hrl_escape.checks.check_path_planner` first.
 
     Args:
-        name: unused so far.
-        factory: called once for each room and door, with its `CollisionMap`; returns the planner. The
-            same problem must give the same path, independent of earlier queries.
+        name: a new name.
+        factory: called once for each room and door, with its `CollisionMap`; returns the planner. Equal problems must
+            give equal paths, independent of earlier queries.
 
     Raises:
-        ConfigError: another planner has that name, or the factory cannot be called.
+        ConfigError: another planner has that name, or the factory is not callable.
     """
     path_planners.register(name, factory)
 
 
 def list_planners() -> tuple[str, ...]:
-    """Names of all path planners: OMPL's, registered ones and those of installed packages."""
+    """Return the names of all path planners: OMPL's, registered ones and planners of installed packages."""
     return tuple(sorted(path_planners))
 
 
 def find_line_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | None:
-    """Find a path of lines that are tested whole, between places where the body fits at any heading.
+    """Find a path of lines that are tested as a whole, between places where the body fits at any heading.
 
     Returns:
-        Places to go through, shape (n, 2), m, from the start to one of the goals; None if the planner gave up.
+        Places to go through, (n, 2), m, from the start to one of the goals, or None if the planner gave up.
 
     Raises:
         Spent: the budget was used up before there was a path.
@@ -70,7 +70,7 @@ def find_line_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | 
 
 def _find_plane_path(planner: str, problem: PathProblem, is_move_free: Callable[[Any, Any], bool] | None = None
                      ) -> NDArray[np.float64] | None:
-    """Path in the plane: straight to the nearest goal in sight, else OMPL's; shape (n, 2), m, or None."""
+    """Return a path in the plane, (n, 2), m, or None: straight to the nearest goal in sight, otherwise OMPL's."""
     for goal in problem.goals:
         if problem.is_move_free(*problem.start.tolist(), *goal.tolist()):
             return np.stack([problem.start, goal])
@@ -92,21 +92,21 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
     """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
 
     Args:
-        low: least coordinates, shape (n,).
-        high: largest coordinates, shape (n,).
-        start: first place, shape (n,).
-        goals: places of which any will do, shape (m, n).
+        low: least coordinates, (n,).
+        high: largest coordinates, (n,).
+        start: first place, (n,).
+        goals: places, (m, n); the path ends at one of them.
         is_free: tests one place.
         spacing: distance between tested places of a motion.
-        budget: places that may be tested, and the time limit.
+        budget: maximum number of tested places, and the time limit.
         planner: one of `OMPL_PLANNERS`.
-        seed: the same seed gives the same path.
+        seed: equal seeds give equal paths.
 
     Returns:
-        Places to go through in straight lines, shape (k, n); None if the planner gave up or the budget is used up.
+        Places to go through in straight lines, (k, n), or None if the planner gave up or the budget is used up.
 
     Raises:
-        OutOfTime: the clock has run out before there was a path.
+        OutOfTime: the time limit passed before there was a path.
     """
     axes, stages = range(len(low)), (budget.most / 4, budget.most / 2)
 
@@ -178,7 +178,10 @@ def _search(planner: str, low: NDArray[np.float64], high: NDArray[np.float64], s
 
 def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_free: Callable[[Any], bool],
                       spacing: float, is_move_free: Callable[[Any, Any], bool] | None) -> Any:
-    """Make OMPL's box of coordinates and its checker; not by `SimpleSetup`, whose planners are never freed."""
+    """Make OMPL's box of coordinates and its checker.
+
+    `SimpleSetup` is not used, because its planners are never freed.
+    """
     space = base.RealVectorStateSpace(len(low))
     bounds = base.RealVectorBounds(len(low))
     for k in range(len(low)):
@@ -195,7 +198,7 @@ def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_fr
 
 
 class _WholeMotions(base.MotionValidator):
-    """Test of motions from one state to another, whose first state was tested before."""
+    """Test of motions from one state to another whose first state has been tested."""
 
     def __init__(self, information: Any, is_move_free: Callable[[Any, Any], bool]) -> None:
         super().__init__(information)
@@ -207,7 +210,7 @@ class _WholeMotions(base.MotionValidator):
 
 @lru_cache
 def _get_scratch(dimensions: int) -> tuple[Any, Any]:
-    """Space and state of a dimension, allocated once: the bindings never free a state."""
+    """Return the space and state of a dimension, allocated once: the bindings never free a state."""
     space = base.RealVectorStateSpace(dimensions)
     return space, space.allocState()
 

@@ -1,11 +1,10 @@
-"""Joint search for whole escapes: one A* over poses and puzzle states, so that legs end where the rest is shortest.
+"""Joint search for whole escapes: one A* over poses and puzzle states, whose legs end where the rest is short.
 
-Options reach one goal after another, each with the fewest primitives, and so may end where the next leg is longer, or
-press in an order whose legs do not fit together. Here every state of the puzzle has a cost-to-go field of its own: its
-seeds are the poses from which one primitive presses a target, at the cost-to-go that the puzzle's next state has where
-the primitive ends. A compiled A* over exact poses (`a_star.py`) follows these fields through all orders at once, and
-the room's own kinematics replay what it finds. It is for presses by the body: after a press by hand the arm's posture
-counts, too (`hand_search.py`).
+Options reach one goal after another, each with the fewest primitives. They can end where the next leg is longer, or
+press in a costly order. Here every state of the puzzle has its own cost-to-go field. Its seeds are the poses from which
+one primitive presses a target, at the cost-to-go of the puzzle's next state where the primitive ends. A compiled A*
+over exact poses (`a_star.py`) follows these fields through all orders at once, and the room's kinematics replay the
+result. It is for presses by the body; presses by hand are in `hand_search.py`.
 """
 
 from __future__ import annotations
@@ -29,20 +28,21 @@ from hrl_escape.planning.search.a_star import JointQuery, expand_until_escape
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch, make_motions
 
 MOST_PUZZLE_STATES = 64
-"""Most puzzle states with fields: all subsets of six buttons. A puzzle with more has them along given orders only."""
+"""Maximum number of puzzle states with fields: all subsets of six buttons. Larger puzzles have fields along given
+orders only."""
 SEARCHES = ((0, 1, 20_000), (2, 1, 100_000)), ((3, 1, 300_000),), ((3, 2, 500_000), (3, 3, 500_000))
-"""Searches of each effort: primitives subtracted from the cost-to-go, bins along the side of a usual bin, and most
-nodes. A quick plan and a shorter one, then others that distrust the fields more and tell more poses apart."""
+"""Searches of each effort: primitives subtracted from the cost-to-go, bins along the side of a usual bin, and maximum
+number of nodes. First a quick plan and a shorter one, then searches that trust the fields less and use smaller bins."""
 NODES_A_LEG = 2_000
-"""Most nodes expanded by the search for one leg."""
+"""Maximum number of nodes expanded by the search for one leg."""
 FIRST_NODES = 1 << 14
-"""Nodes for which a search has room at first."""
+"""Nodes for which a search allocates memory at first."""
 _SLICE = 5_000
-"""Nodes expanded between two looks at the clock."""
+"""Nodes expanded between two checks of the time limit."""
 MOST_NODES = 1_000_000
-"""Most nodes expanded for one escape."""
+"""Maximum number of nodes expanded for one escape."""
 MOST_FIELDS = 256
-"""Most fields kept: those of four sets of puzzle states."""
+"""Maximum number of cached fields, for four sets of puzzle states."""
 
 
 Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
@@ -80,11 +80,11 @@ class JointSearch:
             order: an order of goals; its puzzle states are used if the puzzle has more than `MOST_PUZZLE_STATES`.
             most: plans of this many primitives or more are discarded.
             clock: time limit.
-            effort: 0, 1 or 2; each has searches of its own, which take longer the higher it is.
-            budget: search nodes that may be expanded.
+            effort: 0, 1 or 2; higher efforts use longer searches.
+            budget: maximum number of expanded search nodes.
 
         Returns:
-            Fewer than `most` primitives that end the episode by escaping, or None; and the nodes expanded.
+            Fewer than `most` primitives that end the episode by escaping, or None; and the number of expanded nodes.
         """
         fields = self.get_fields(state, order, clock)
         best, spent = None, 0
@@ -101,10 +101,11 @@ class JointSearch:
         return best, spent
 
     def find_leg(self, state: RoomState, order: Sequence[Goal]) -> tuple[int, ...] | None:
-        """Search for the primitives to the next change of the puzzle, or to the exit, so that the way on is short, too.
+        """Search for the primitives to the next change of the puzzle, or to the exit, with a short rest.
 
-        It takes milliseconds: the way on is not searched, its length is read from the field of the puzzle's next state.
-        None if the fields lead nowhere from here. The order is as in `find_escape`; any heading will do.
+        It takes milliseconds, because the length of the rest is read from the field of the puzzle's next state. It
+        returns None if the fields lead nowhere from this state. The order is as in `find_escape`; every heading is
+        supported.
         """
         fields = self.get_fields(state, order, NO_LIMIT)
         if state.puzzle not in fields:
@@ -113,7 +114,7 @@ class JointSearch:
         return self._search(state, query, a_star.MOST_PRIMITIVES, NODES_A_LEG, NO_LIMIT)[0]
 
     def list_goals(self, state: RoomState, primitives: Sequence[int]) -> tuple[Goal, ...]:
-        """Presses that change the puzzle on the way of a plan, in order, and the exit."""
+        """Return the presses that change the puzzle on the way of a plan, in order, and the exit."""
         goals: list[Goal] = []
         for primitive in primitives:
             step = self.rules.step(state, primitive)
@@ -125,11 +126,11 @@ class JointSearch:
     # --- puzzle states -------------------------------------------------------------------
 
     def press(self, puzzle: Hashable, target: int) -> Hashable:
-        """State of the puzzle after a press."""
+        """Return the state of the puzzle after a press."""
         return self.rules.instance.puzzle.update(puzzle, Contacts((target,)))
 
     def _list_puzzle_states(self, begin: Hashable, order: Sequence[Goal]) -> list[Hashable]:
-        """List the puzzle states reachable by presses, or those along an order if there are too many."""
+        """Return the puzzle states reachable by presses, or those along an order if there are too many."""
         targets = range(len(self.rules.instance.targets))
         known, queue = {begin: None}, [begin]
         while queue and len(known) <= MOST_PUZZLE_STATES:
@@ -148,7 +149,7 @@ class JointSearch:
         return list(known)
 
     def get_fields(self, state: RoomState, order: Sequence[Goal], clock: Clock) -> Fields:
-        """Fields of the puzzle states ahead; those of the previous call if its states were the same."""
+        """Return the fields of the puzzle states ahead, and reuse those of the previous call for the same states."""
         key = (state.puzzle, tuple(order))
         if self._recent is None or self._recent[0] != key:
             if len(self._fields) > MOST_FIELDS:
@@ -159,7 +160,7 @@ class JointSearch:
         return self._recent[1]
 
     def _make_fields(self, state: RoomState, puzzles: list[Hashable], clock: Clock) -> Fields:
-        """Fields of puzzle states, from the solved ones backwards; states with the same prospects share one."""
+        """Make the fields of puzzle states, from the solved ones backwards. Equal continuations share a field."""
         targets = range(len(self.rules.instance.targets))
         is_solved = self.rules.instance.puzzle.is_solved
         if not self._fields:
@@ -223,7 +224,7 @@ class JointSearch:
         return self._presses[target]
 
     def _find_place(self, state: RoomState) -> int:
-        """Index of the cell and heading class of a pose."""
+        """Return the index of the cell and heading class of a pose."""
         maker = self._shut
         i = min(max(int((state.x - maker.low[0]) / maker.size), 0), maker.shape[0] - 1)
         j = min(max(int((state.y - maker.low[1]) / maker.size), 0), maker.shape[1] - 1)
@@ -233,7 +234,7 @@ class JointSearch:
 
     def _search(self, state: RoomState, query: JointQuery, most: int, nodes: int, clock: Clock
                 ) -> tuple[tuple[int, ...] | None, int]:
-        """A* over primitives; poses in one bin, with the same puzzle state, count as one."""
+        """Run A* over primitives; poses in one bin with the same puzzle state count as one."""
         frontier = self._legs.frontiers.take(FIRST_NODES, min(most, a_star.MOST_PRIMITIVES))
         found, has_more = None, True
         while found is None and has_more and not clock.is_up():
@@ -250,7 +251,7 @@ class JointSearch:
         return found, spent
 
     def _replay(self, state: RoomState, actions: Sequence[int], one_leg: bool) -> tuple[int, ...] | None:
-        """The actions up to the escape, or to the end of one leg, by the room's own kinematics; None without it."""
+        """Return the actions up to the escape or the end of one leg, by the room's kinematics, or None."""
         puzzle = state.puzzle
         for count, action in enumerate(actions, 1):
             state, _, terminated, _, _ = self.rules.step(state, action)
@@ -259,7 +260,7 @@ class JointSearch:
         return None
 
     def _make_query(self, state: RoomState, fields: Fields) -> JointQuery:
-        """State a search through fields with bins as wide as those of a search for one goal."""
+        """Make the query of a search through fields, with bins as wide as in a search for one goal."""
         maker, rules, offset = self._shut, self.rules, state.heading_offset
         if self._puzzles is None or self._puzzles.fields is not fields:
             self._puzzles = _Puzzles.make(self, fields)

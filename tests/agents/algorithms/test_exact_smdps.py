@@ -46,7 +46,7 @@ def make(agent_class, env, settings=EXACT, **given):
     return agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**settings), **given)
 
 
-def teach(agent, env, decisions=10_000):
+def teach(agent, env, decisions=7_000):
     """Episodes of few decisions from anywhere, each cut somewhere."""
     learn(agent, env, decisions)
     return agent
@@ -79,7 +79,8 @@ READ = {
 }
 
 
-@pytest.mark.nightly_for("MaxqQ-1", "MacroQ-2", "Eigenoptions-0", "RMax-1", "FeudalRl-0", "RMaxq-2")
+@pytest.mark.nightly_for(
+    "MaxqQ-1", "MacroQ-2", "Eigenoptions-0", "RMax-1", "FeudalRl-0", "RMaxq-2", "Hamq-2", "IntraOptionQ-1")
 @pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
     env = make_env(seed)
@@ -199,7 +200,7 @@ def solve_graph(smdp):
     return inner[:, 1:], solve(whole, GAMMA)
 
 
-@pytest.mark.nightly_for("stack-3")
+@pytest.mark.nightly_for("stack-3", "maxq-q-0")
 @pytest.mark.parametrize(("name", "seed"), cover(list(GRAPH_MAKERS), RETURNING))
 def test_tasks_are_worth_what_they_earn_also_where_they_get_stuck(name, seed):
     """Learners of a stack bootstrap where a call is cut, in their own view, which is exact for the task below alone."""
@@ -250,7 +251,7 @@ def test_what_a_machine_was_told_is_a_part_of_its_state():
     assert found == {(0, 0): 1.0, (0, 1): 0.0, (1, 0): 0.0, (1, 1): 1.0}
 
 
-@pytest.mark.nightly_for("1")
+@pytest.mark.nightly_for("1", "2")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_search_does_not_change_with_the_unit_of_reward(seed):
     smdp = spread_options(make_random_smdp(seed, states=4, actions=3, branches=1, longest=5), seed)

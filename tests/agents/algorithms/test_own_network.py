@@ -35,6 +35,7 @@ def make_module(env, kind):
         nn.Linear(inputs, 8), nn.ReLU(), nn.Linear(8, actions))
 
 
+@pytest.mark.nightly_for("sequential")
 @pytest.mark.parametrize("kind", ["residual", "sequential"])
 def test_dqn_learns_with_a_module_of_ones_own_and_resumes_to_the_same_bits(tmp_path, kind):
     env = ButtonGrid(trace=True, horizon=40)

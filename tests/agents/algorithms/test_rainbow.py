@@ -90,6 +90,7 @@ def test_with_every_part_off_it_is_dqn_to_the_bit():
     assert {key: rainbow[key] for key in dqn} == dqn
 
 
+@pytest.mark.nightly_for("noise-0.5", "atoms-11", "dueling-True")
 @pytest.mark.parametrize(("part", "value"), [
     ("noise", 0.5), ("dueling", True), ("atoms", 11), ("priority_exponent", 0.5)])
 def test_each_part_is_a_setting_of_its_own(part, value):

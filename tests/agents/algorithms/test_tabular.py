@@ -41,7 +41,8 @@ def assert_equal_tables(table, exact, tolerance):
 
 @pytest.mark.nightly_for(
     "0-True-IntraOptionQ", "1-True-IntraOptionQ", "2-True-IntraOptionQ", "0-False-IntraOptionQ", "0-True-QLearning",
-    "1-False-IntraOptionQ", "1-True-QLearning", "2-True-QLearning", "2-False-QLearning", "1-False-QLearning")
+    "1-False-IntraOptionQ", "1-True-QLearning", "2-True-QLearning", "2-False-QLearning", "1-False-QLearning",
+    "2-False-IntraOptionQ")
 @pytest.mark.parametrize("agent_class", [QLearning, IntraOptionQ])
 @pytest.mark.parametrize("one_hot", [False, True])
 @pytest.mark.parametrize("seed", range(3))

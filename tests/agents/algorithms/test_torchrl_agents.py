@@ -108,6 +108,7 @@ def test_ppo_estimates_smdp_advantages():
     assert rollout["advantage"].numpy()[:, 0] == pytest.approx(expected, abs=1e-5)
 
 
+@pytest.mark.nightly_for("torchrl-ppo", "torchrl-sac")
 @pytest.mark.parametrize("name", NAMES)
 def test_no_illegal_action_is_chosen_and_torch_keeps_its_chance(name: str):
     agent, rng = make(name), np.random.default_rng(0)
@@ -154,7 +155,7 @@ def test_the_same_seed_gives_the_same_run(name: str):
     assert train_options(name, 300) == train_options(name, 300)
 
 
-@pytest.mark.nightly_for("torchrl-sac")
+@pytest.mark.nightly_for("torchrl-sac", "torchrl-dqn")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_agent_that_took_up_a_state_has_the_digest_of_the_one_that_left_it(name: str):
     trained = train_options(name, 300).agent

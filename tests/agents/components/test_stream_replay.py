@@ -32,6 +32,7 @@ def list_rows(experience):
     return [tuple(np.asarray(field, np.float32).tobytes() for field in row) for row in zip(*experience, strict=True)]
 
 
+@pytest.mark.nightly_for("2-64")
 @pytest.mark.parametrize(("n", "streams"), [(1, 6), (2, 64), (3, 1), (5, 6)])
 def test_backups_of_n_decisions_are_those_of_every_stream_alone(n, streams):
     rng = np.random.default_rng(n)
@@ -134,16 +135,18 @@ EXACT = {
 }
 
 
-@pytest.mark.nightly_for("r-max", "sarsa")
-@pytest.mark.parametrize("name", [pytest.param("dqn", marks=pytest.mark.slow), "sarsa", "q-learning", "r-max"])
-def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name):
+@pytest.mark.nightly_for("r-max-16000", "sarsa-16000", "q-learning-16000")
+@pytest.mark.parametrize(("name", "primitives"), [
+    pytest.param("dqn", 16_000, marks=pytest.mark.slow), ("sarsa", 16_000), ("q-learning", 16_000), ("r-max", 16_000),
+    ("q-learning", 8_000)])
+def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once(name, primitives):
     def make():
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
 
     settings, error, compute = EXACT[name]
     many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-    agent = train(name, many, primitives=16_000, eval_env=make(), eval_episodes=0, settings=settings | {"gamma": 0.9}
-                  ).agent
+    agent = train(name, many, primitives=primitives, eval_env=make(), eval_episodes=0,
+                  settings=settings | {"gamma": 0.9}).agent
     exact = compute(CHAIN, 0.9)
     for state in range(4):
         legal = np.isfinite(exact[state])
@@ -151,6 +154,7 @@ def test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_o
             exact[state][legal], abs=error)
 
 
+@pytest.mark.nightly
 def test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_limit():
     def make():
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)

@@ -77,6 +77,7 @@ def test_an_eigenoption_climbs_to_a_local_peak_of_its_purpose_and_ends_there():
             assert state == ends and steps < 40 and (earned > 0) == (steps > 0)
 
 
+@pytest.mark.nightly_for("normalised-8-667.47-111.34", "combinatorial-8-267.11-33.3", "random-walk-8-206.98-28.14")
 @pytest.mark.parametrize(("kind", "directions", "primitives", "decisions"), [
     ("normalised", 0, 620.769, 620.769),
     ("normalised", 1, 607_789, 163_420),

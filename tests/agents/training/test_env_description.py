@@ -82,7 +82,7 @@ def test_a_rooms_name_and_its_drawing_are_no_part_of_its_identity():
     "<lambda>-arguments1-environment.wrappers.0.arguments.option_set: 'press' there, 'press-with-ancestors' now",
     "make_options-arguments5-primitives: 200 there, 300 now", "make_options-arguments7-evaluation_environment",
     "<lambda>-arguments3-environment.arguments.observation",
-    "<lambda>-arguments2-environment.wrappers.0.arguments.max_duration")
+    "<lambda>-arguments2-environment.wrappers.0.arguments.max_duration", "make_options-arguments4-seed: 0 there, 1 now")
 @pytest.mark.parametrize(("env", "arguments", "field"), [
     (lambda: make_options(seed=1), {}, "environment.arguments.instance"),
     (lambda: make_options(option_set="press-with-ancestors"), {},

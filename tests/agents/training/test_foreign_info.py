@@ -9,6 +9,7 @@ from hrl_escape import OptionsEnv, train
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.errors import StepContractError
 from hrl_escape.options import ScriptedOption
+from tests.covering import thin
 
 
 class Six(gymnasium.Env):
@@ -45,14 +46,14 @@ def run(kind, info=None, reward=1.0):
 
 
 @each_kind
-@pytest.mark.parametrize("info", [
+@pytest.mark.parametrize("info", thin([
     {"duration": 0.04}, {"duration": None}, {"duration": 1}, {"rewards": {"speed": 0.5}}, {"rewards": 3.0},
     {"discount": 0.5}, {"discounted_reward": 9.0}, {"summed_reward": 9.0}, {"option": "call"}, {"option": None},
     {"option": {"strike": 3}}, {"option": 7}, {"action_mask": None}, {"action_mask": [True, False]},
     {"success": np.array([1])}, {"is_success": None}, {"primitives": 1000},
     {"pressed": [1, 2]}, {"trace": "long"}, {"trace": np.zeros(3)}, {"trace": [(1, 2)]}, {"calls": 3},
     {"progress": "half"}, {"progress": None}, {"instance": 4},
-], ids=str)
+], 3), ids=str)
 def test_they_are_left_alone_and_the_numbers_are_right(kind, info):
     result = run(kind, info)
     (evaluation, *_) = result.evaluations

@@ -96,7 +96,7 @@ def list_files(folder):
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file() and path.name != "run.json"}
 
 
-@pytest.mark.parametrize("count", [80, pytest.param(1_000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [30, pytest.param(1_000, marks=pytest.mark.nightly)])
 def test_crafted_folders_import_nothing_and_write_nothing(runs, planted, count):
     chance, watch, room = random.Random(20), Watch(), generate(get_preset("paper-two-button"), 0)
     described = {name: json.loads((runs / name / "run.json").read_text()) for name in ("lake", "room")}

@@ -106,7 +106,7 @@ def flatten(tree, where=""):
 @pytest.mark.nightly_for(
     "torchrl-dqn-default", "torchrl-sac-default", "dac-default", "dqn-keras-rl-2019", "vigorito-barto-default",
     "sarsa-default-changed", "sarsa-keras-rl-2019")
-@pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
+@pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 4, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
         agent, restored = make(name, recipe, changes), make(name, recipe, changes, seed=1)
@@ -189,9 +189,10 @@ def read_log(folder):
 
 @pytest.mark.nightly_for(
     "rainbow-default", "factored-r-max-default", "monte-carlo-model-default", "a2oc-default", "fun-default",
-    "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed",
-    "torchrl-ppo-default", "ppoc-default", "diayn-default", "ddpg-default", "ddpg-keras-rl-2019")
-@pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
+    "sarsa-default", "met-r-max-default", "dqn-default-changed", "ppo-default-changed", "torchrl-ppo-default",
+    "ppoc-default", "diayn-default", "ddpg-default", "ddpg-keras-rl-2019", "q-learning-default",
+    "skill-chaining-default")
+@pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 4, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")
     steps = 10**9 - counting.left

@@ -51,6 +51,7 @@ def test_a_run_comes_back_to_the_byte_and_equal_runs_give_equal_archives(folder,
     assert stat.S_IMODE((tmp_path / "moved" / "here").stat().st_mode) == 0o755
 
 
+@pytest.mark.nightly_for("torchrl-dqn")
 @pytest.mark.parametrize("agent", ["dqn", "torchrl-dqn", "ppo"])
 def test_a_frozen_run_acts_as_the_whole_one_and_holds_no_experience(agent, tmp_path):
     """Cut short in the middle of a rollout, and with a replay that is not empty."""
@@ -115,7 +116,7 @@ def test_nothing_that_is_there_is_written_over(archive, tmp_path, there):
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")
-@pytest.mark.parametrize("count", [200, pytest.param(1_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [60, pytest.param(1_000, marks=pytest.mark.slow)])
 def test_crafted_archives_write_nothing_outside_their_folder(folder, archive, tmp_path, monkeypatch, count):
     chance, whole = random.Random(38), read_folder(folder)
     inner = tmp_path / "a" / "b"

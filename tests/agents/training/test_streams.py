@@ -350,7 +350,7 @@ def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_say
     assert result.resumed_at > 0 and result.primitives >= 400
 
 
-@pytest.mark.nightly_for("smdp-ppo", "smdp-dac")
+@pytest.mark.nightly_for("smdp-ppo", "smdp-dac", "smdp-dqn")
 @pytest.mark.parametrize("name", ["smdp-ppo", "smdp-dqn", "smdp-dac"])
 def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)

@@ -141,6 +141,7 @@ def test_copies_report_their_success_at_their_own_last_steps(mode):
     assert found == [{1}, {0}, {1}, {-1}]
 
 
+@pytest.mark.nightly_for("AutoresetMode.SAME_STEP")
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_segments_of_copies_that_report_no_success_have_none(mode, tmp_path):
     settings = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}

@@ -174,7 +174,7 @@ def list_choices(agent, env, seed):
     return [(t.action, t.observation.tobytes()) for t, _ in play_episode(agent, env, seed)]
 
 
-@pytest.mark.nightly_for("ppoc", "dac", "a2oc", "sarsa", "option-critic")
+@pytest.mark.nightly_for("ppoc", "dac", "a2oc", "sarsa", "option-critic", "dqn", "ddpg", "ppo", "diayn")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
     agent = run(name).agent
@@ -187,7 +187,7 @@ def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
     assert flatten(agent.state_dict()) == before
 
 
-@pytest.mark.nightly_for("ppoc", "dac", "diayn", "ddpg", "a2oc", "sarsa", "option-critic")
+@pytest.mark.nightly_for("ppoc", "dac", "diayn", "ddpg", "a2oc", "sarsa", "option-critic", "dqn", "ppo")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_how_often_one_evaluates_does_not_change_what_is_learned(name):
     often, never = run(name, eval_every=20), run(name, eval_episodes=0)
@@ -300,7 +300,7 @@ def test_a_result_survives_json():
     assert read_record(TrainResult, json.loads(json.dumps(result.to_json()))) == result
 
 
-@pytest.mark.nightly_for("ppoc", "a2oc", "sarsa")
+@pytest.mark.nightly_for("ppoc", "a2oc", "sarsa", "dqn", "ddpg", "dac")
 @pytest.mark.parametrize("name", LEARNERS)
 def test_every_logged_name_is_explained(tmp_path, name):
     run(name, out=tmp_path)
@@ -311,6 +311,7 @@ def test_every_logged_name_is_explained(tmp_path, name):
     assert {"train/return", "eval/return", "time/seconds"} <= logged
 
 
+@pytest.mark.nightly_for("sarsa-settings0", "ddpg-settings3", "dqn-settings2")
 @pytest.mark.parametrize(("name", "settings"), [
     ("sarsa", {}), ("sarsa", {"replay_capacity": 0, "expected": False}), ("dqn", {}), ("ddpg", {}),
 ])
@@ -379,6 +380,7 @@ class Unbounded(SmdpEnv):
         return observation, reward, terminated, truncated, info
 
 
+@pytest.mark.nightly_for("sarsa")
 @pytest.mark.filterwarnings("ignore:overflow encountered")
 @pytest.mark.parametrize("name", ["dqn", "sarsa", "ddpg", "ppo"])
 def test_a_loss_that_is_nan_names_run_and_primitive_and_keeps_the_checkpoint(tmp_path, name):

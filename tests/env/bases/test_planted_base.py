@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from benchmarks.conformance import compare
+from examples.extend.diamond import Diamond
 from hrl_escape.env.bases import bases
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import ConfigError, DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
@@ -27,7 +28,7 @@ from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.planning import RoomPlanner
-from tests.env.bases.diamond import Diamond
+from tests.forks import run_fork
 
 ROOM = RoomConfig(room=ShapeConfig(width=8, depth=7), puzzle=ButtonsConfig(count=2))
 ROOT = Path(__file__).parents[3]
@@ -102,7 +103,7 @@ def test_a_base_that_comes_after_the_planners_is_refused_by_them(diamond):
 PROGRAM = """
 import dataclasses
 from hrl_escape.env.bases import bases
-from tests.env.bases.diamond import Diamond
+from examples.extend.diamond import Diamond
 bases.register("diamond", Diamond)  # the line
 from hrl_escape import OptionsEnv, RoomPlanner
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
@@ -137,3 +138,23 @@ def test_planners_and_options_bring_it_out():
     found = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, cwd=ROOT, timeout=900,
                            env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert found.stdout.strip() == "escaped", found.stderr
+
+
+FOLDERS = """
+import sys
+from hrl_escape.env.bases import bases
+from examples.extend.diamond import Diamond
+if sys.argv[1] == "diamond":
+    bases.register("diamond", Diamond)
+from hrl_escape.floor.dijkstra import choose_points
+from hrl_escape.planning.arm.joint_lattice import find_heights
+print(find_heights.stats.cache_path, choose_points.stats.cache_path)
+"""
+
+
+def test_it_keeps_what_was_compiled_without_it():
+    """Kernels that contain no base are shared; the others lie in folders of their own, both of which stay valid."""
+    with_it, without, again = (run_fork(FOLDERS, name, check=True, environment=os.environ | {
+        "PYTHONPATH": str(ROOT)}).stdout.split() for name in ("diamond", "none", "none"))
+    assert with_it[0] == without[0] and with_it[1] != without[1]
+    assert without == again

@@ -322,6 +322,7 @@ def test_the_door_is_shut_until_solved_but_never_on_the_robot():
 # --- compilation -----------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("config0-1")
 @pytest.mark.parametrize(("config", "instances"), [
     (dataclasses.replace(NOISY, obstacles=ObstaclesConfig(), dynamics=DynamicsConfig()), 1),
     pytest.param(dataclasses.replace(NOISY, obstacles=ObstaclesConfig(count=1)), 3, marks=pytest.mark.slow)])

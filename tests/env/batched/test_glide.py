@@ -50,8 +50,8 @@ CARRYING = [name for name, config in sorted(FAMILIES.items()) if config.robot.gr
 PRESSING = sorted(FAMILIES.keys() - CARRYING)
 
 
-@pytest.mark.parametrize("name", [*thin([name for name in PRESSING if "rectangle" not in name], 3),
-                                  *(name for name in PRESSING if "rectangle" in name), *CARRYING])
+@pytest.mark.parametrize("name", [*thin([name for name in PRESSING if "rectangle" not in name], 6),
+                                  *(name for name in PRESSING if "rectangle" in name), *thin(CARRYING, 2)])
 def test_velocities_move_the_batch_as_the_scalar_rules(name):
     found = compare([generate(FAMILIES[name], 0)], 150, copies=10, velocities=FAST)
     assert not found.disagreements, found.disagreements[0]

@@ -61,13 +61,13 @@ def encode(form, puzzles, states):
 @pytest.mark.nightly_for(
     "potions, three features", "blocks-world", "buttons", "buttons, dead ends", "bit-flip", "lights-out",
     "lights-out 4 x 6", "hanoi", "recipes", "code-lock", "light-box", "light-box, sure", "deep-sea", "pin-pad",
-    "potions", "factored", "factored, sure", "foraging", "taxi")
+    "potions", "factored", "factored, sure", "foraging", "taxi", "buttons, rules drawn")
 @pytest.mark.parametrize("name", KINDS)
 def test_a_tensor_form_does_what_the_puzzle_does(name):
     compare(name, [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)])
 
 
-@pytest.mark.nightly_for("blocks-world", "code-lock")
+@pytest.mark.nightly_for("blocks-world", "code-lock", "buttons")
 @pytest.mark.parametrize("kind", MIXED)
 def test_so_it_does_where_rooms_have_different_numbers_of_targets(kind):
     compare(kind, [config.make_puzzle(np.random.default_rng(seed)) for seed in range(10) for config in MIXED[kind]])

@@ -53,7 +53,7 @@ def count_blue(picture):
 
 @pytest.mark.nightly_for(
     "many-obstacles", "noisy", "light-box", "four-rooms", "dead-ends", "multi-room", "lights-out", "smallest",
-    "potions", "foraging")
+    "potions", "foraging", "paper-one-button", "clutter", "sokoban")
 @pytest.mark.parametrize("name", thin([*PRESETS, *EXTREMES], 3))
 def test_every_camera_pictures_every_room(name):
     room = make_room(name, seed=1)
@@ -111,7 +111,7 @@ print(digest.hexdigest())
     assert digest.hexdigest() == there.strip()
 
 
-@pytest.mark.nightly_for("push-block")
+@pytest.mark.nightly_for("push-block", "clutter")
 @pytest.mark.parametrize("name", ["clutter", "push-block", "door"])
 def test_taking_pictures_changes_nothing(name):
     watched, unwatched = make_room(name), make_room(name)
@@ -229,6 +229,7 @@ def test_arms_blocks_and_doors_are_seen_to_move():
     assert count_like(frames[0], palette.DOOR, 40) > 2 * count_like(frames[1], palette.DOOR, 40)
 
 
+@pytest.mark.nightly_for("franka-panda")
 @pytest.mark.parametrize("kind", ["kuka-iiwa", "franka-panda"])
 def test_named_arms_are_shown_with_their_joints(kind):
     config = RoomConfig(room=ShapeConfig(width=10, depth=10), robot=RobotConfig(kind=kind, joints=7, body_radius=0.4))

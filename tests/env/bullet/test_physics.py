@@ -62,7 +62,7 @@ def play(room, actions):
 WIDE = RoomConfig(room=ShapeConfig(width=200, depth=200), start=StartConfig(place="fixed"))
 
 
-@pytest.mark.nightly_for("arm", "kuka")
+@pytest.mark.nightly_for("arm", "kuka", "base", "rectangle")
 @pytest.mark.parametrize("robot", [
     RobotConfig(), RobotConfig(joints=7, link_length=0.1), RobotConfig(kind="kuka-iiwa", joints=7),
     RobotConfig(move_step=0.3, turn_step_deg=45, joints=2, joint_step_deg=3),

@@ -116,7 +116,7 @@ def test_the_arm_is_drawn_as_far_as_the_hand():
         assert picture.has(palette.HAND, x, y) and not picture.has(palette.HAND, x + 0.3, y)
 
 
-@pytest.mark.nightly_for("sixty-four-buttons", "paper-two-button", "recipes")
+@pytest.mark.nightly_for("sixty-four-buttons", "paper-two-button", "recipes", "ten-button", "hanoi", "pin-pad")
 @pytest.mark.parametrize("name", thin(list(SCHEMATICS), 6, first=1))
 def test_every_room_can_be_drawn_with_the_names_of_its_targets(name, tmp_path):
     instance, state = make_room(name, seed=1)

@@ -193,6 +193,7 @@ def write_problem(name: str, typed: str = " - block") -> str:
     return f"(define (problem BLOCKS-{name}) ; IPC\n(:domain BLOCKS)\n(:objects {blocks}{typed}) {body})"
 
 
+@pytest.mark.nightly_for("5-0")
 @pytest.mark.parametrize("name", IPC)
 def test_problems_of_the_competition_are_solved_with_the_published_number_of_operators(name):
     room = generate(get_preset("blocks-world", problem=write_problem(name)), 0)

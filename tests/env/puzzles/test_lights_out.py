@@ -61,6 +61,7 @@ def test_ogbenchs_tasks_take_the_fewest_presses_that_others_found(size, fewest):
     assert found == fewest
 
 
+@pytest.mark.nightly_for("size2", "size3")
 @pytest.mark.parametrize("size", TASKS)
 def test_tasks_keep_the_contract(size):
     for task in (1, 5):

@@ -89,6 +89,7 @@ def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_c
         assert sorted(rules.meanings[list(puzzle.marks)]) == [0, 1, 2, 3]
 
 
+@pytest.mark.nightly_for("2")
 @pytest.mark.parametrize("motifs", [1, 2])
 def test_likelihoods_are_those_of_the_draws(motifs):
     rules = MarksConfig("rank", levels=2, symbols=5, truth=0.7, motifs=motifs)
@@ -211,7 +212,7 @@ def test_both_engines_show_marks_on_their_targets_and_nothing_else_moves(kind):
     words = list(EscapeRoomEnv(instance=rooms[0], observation=kind).unwrapped._observer.names)
     is_mark = np.array([word.rpartition("-")[2] in MARK_WORDS for word in words])
     assert is_mark.sum() == len(MARK_WORDS) * (5 if kind == "objects" else 4)  # the exit has a row, too
-    for _ in range(40):
+    for _ in range(12):
         assert np.array_equal(seen[:, ~is_mark], unmarked)
         action = shown.action_space.sample()
         for number, room in enumerate(rooms):

@@ -29,17 +29,21 @@ QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
 """Without those that take seconds a sample; they have tests of their own."""
 
 
-@settings(max_examples=15)
-@given(st.sampled_from(QUICK), st.integers(0, 10_000))
-def test_generation_is_pure_and_certified(name, seed):
-    config = all_configs()[name]
-    instance = generate(config, seed)
-    generation._sample_room.cache_clear()
-    assert generate(config, seed) == instance
-    assert find_unmet_constraint(instance) is None
-    assert len(instance.targets) == len(instance.puzzle.target_names)
-    assert sum(s.role == "obstacle" for s in instance.solids) == config.obstacles.count
-    assert config.start.place == "cells" or len(instance.starts) == config.start.choices
+@pytest.mark.parametrize("examples", [5, pytest.param(40, marks=pytest.mark.nightly)])
+def test_generation_is_pure_and_certified(examples):
+    @settings(max_examples=examples)
+    @given(st.sampled_from(QUICK), st.integers(0, 10_000))
+    def check(name, seed):
+        config = all_configs()[name]
+        instance = generate(config, seed)
+        generation._sample_room.cache_clear()
+        assert generate(config, seed) == instance
+        assert find_unmet_constraint(instance) is None
+        assert len(instance.targets) == len(instance.puzzle.target_names)
+        assert sum(s.role == "obstacle" for s in instance.solids) == config.obstacles.count
+        assert config.start.place == "cells" or len(instance.starts) == config.start.choices
+
+    check()
 
 
 def test_a_room_asked_for_again_is_the_same_object_until_many_others_were(nothing_kept):
@@ -120,7 +124,7 @@ def test_seeds_give_different_rooms():
     assert len({generate(get_preset("clutter"), seed).id for seed in range(8)}) == 8
 
 
-@pytest.mark.parametrize("name", thin(QUICK, 3))
+@pytest.mark.parametrize("name", thin(QUICK, 6))
 def test_json_round_trip_keeps_everything(name, tmp_path):
     instance = generate(all_configs()[name], 3)
     instance.save(tmp_path / "room.json")

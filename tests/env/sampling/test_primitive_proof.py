@@ -43,6 +43,7 @@ def is_solvable(instance, most=60_000):
     return False
 
 
+@pytest.mark.nightly
 def test_rooms_of_large_steps_are_certified_exactly_if_a_search_of_all_states_solves_them(monkeypatch, nothing_kept):
     monkeypatch.setattr(generation, "find_unproven", lambda instance, floors: None)
     verdicts = collections.Counter()

@@ -41,9 +41,10 @@ def test_what_cannot_be_met_is_refused_once_the_budget_is_spent(config, spent):
     assert spent[0].done < 1.3 * generation.LARGEST_WORK
 
 
-def test_no_room_configuration_costs_much_more_than_the_budget(spent):
+@pytest.mark.parametrize("count", [1, pytest.param(4, marks=pytest.mark.nightly)])
+def test_no_room_configuration_costs_much_more_than_the_budget(spent, count):
     rng = np.random.default_rng(5)
-    for seed in range(2):
+    for seed in range(count):
         try:
             generation.generate(draw_config(rng), seed)
         except GenerationError:
@@ -56,7 +57,7 @@ def test_ten_thousand_starts_are_sampled():
     assert len(generation.generate(config, 0).starts) == 10_000
 
 
-@pytest.mark.nightly_for("clutter")
+@pytest.mark.nightly_for("clutter", "ten-button")
 @pytest.mark.parametrize("name", ["clutter", "ten-button"])
 def test_a_certificate_that_grows_with_the_room_is_the_one_made_afresh(name):
     """Obstacle by obstacle, until one spoils the room: places of touching that are remembered change no answer."""

@@ -28,6 +28,7 @@ from hrl_escape.planning.paths import planners as path_planners
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.paths.planners import ANYTIME, list_planners, register_planner
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, PathProblem
+from tests.covering import thin
 from tests.floor.test_clearance import make_room
 from tests.forks import run_fork
 
@@ -70,7 +71,7 @@ def assert_is_path(navigator, result, start):
 # --- paths -----------------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("SORRTstar", "InformedRRTstar", "BFMT", "FMT", "BITstar")
+@pytest.mark.nightly_for("SORRTstar", "InformedRRTstar", "BFMT", "FMT", "BITstar", "BKPIECE1", "KPIECE1")
 @pytest.mark.parametrize("planner", PLANNERS)
 def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clutter, planner):
     start, rules = get_start(clutter), Kinematics(clutter.instance)
@@ -84,7 +85,7 @@ def test_every_planner_finds_its_way_to_buttons_through_doorways_and_clutter(clu
 
 
 @pytest.mark.nightly_for("BFMT", "BITstar")
-@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("planner", thin(PLANNERS, 2))
 def test_every_planner_keeps_the_contract(planner):
     check_path_planner(planner, queries=1)
 
@@ -135,7 +136,7 @@ def test_each_status_means_what_it_says():
     assert apart.status == "no-path" and not len(apart.path) and apart.cost == np.inf and apart.checker_calls == 0
 
 
-@pytest.mark.parametrize("planner", PLANNERS)
+@pytest.mark.parametrize("planner", thin(PLANNERS, 2, 1))
 def test_budget_and_time_stop_every_planner_and_leave_nothing_running(clutter, planner):
     threads = threading.active_count()
     start = get_start(clutter)

@@ -54,6 +54,7 @@ def assert_comes_true(result, goal, rules):
 # --- plans come true -------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("clutter-corridor", "ten-button-corridor")
 @pytest.mark.parametrize("method", ["fields", "corridor"])
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "larg-2019", "arm-two-button", "ten-button"])
 def test_predicted_states_are_the_executed_ones(name, method):
@@ -183,7 +184,7 @@ ODD = {
 }
 
 
-@pytest.mark.nightly_for("200 m", "0.1 m")
+@pytest.mark.nightly_for("200 m", "0.1 m", "16 rooms")
 @pytest.mark.parametrize("name", ODD)
 def test_every_button_of_odd_rooms_is_reached(name):
     search = PrimitiveSearch(generate(ODD[name], 1))

@@ -111,6 +111,7 @@ def test_iql_is_sarsa_at_one_half_and_the_best_of_the_data_towards_one(seed):
     np.testing.assert_allclose(fit(FittedQ, rows, smdp).q[shown], (reward + follow @ best)[shown], atol=1e-8)
 
 
+@pytest.mark.nightly_for("0", "1")
 @pytest.mark.parametrize("seed", range(3))
 def test_cql_is_the_fixed_point_of_its_equation_and_lies_below_the_best_of_the_data(seed):
     smdp = make_random_smdp(seed, states=5)

@@ -24,7 +24,7 @@ def list_names():
     return [name if get_agent_class(name).reads_both else f"smdp-{name}" for name in list_offline_agents()]
 
 
-@pytest.mark.nightly_for("hiql")
+@pytest.mark.nightly_for("hiql", "smdp-cql")
 @pytest.mark.parametrize("name", thin(list_names(), step=3, first=1))
 def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folder(name, tmp_path, monkeypatch):
     settings = SMALL.get(name.removeprefix("smdp-"), NETWORKS)
@@ -52,7 +52,7 @@ def test_each_agent_learns_goes_on_to_the_same_bits_and_is_loaded_from_its_folde
                                   whole.agent.compute_preferences(observation))
 
 
-@pytest.mark.nightly_for("smdp-sharsa", "smdp-behaviour-cloning")
+@pytest.mark.nightly_for("smdp-sharsa", "smdp-behaviour-cloning", "smdp-cql", "smdp-iql")
 @pytest.mark.parametrize("name", ["smdp-behaviour-cloning", "smdp-fitted-q", "smdp-cql", "smdp-iql", "smdp-sharsa"])
 def test_tables_end_when_a_sweep_changes_nothing_and_come_back_from_their_folder(name, tmp_path):
     data = load_data(make_recording(), observation="features", rooms="own")
@@ -110,6 +110,7 @@ def test_what_does_not_fit_is_refused_with_what_would():
     assert not set(list_offline_agents()) & set(list_agents())
 
 
+@pytest.mark.nightly_for("hiql", "fitted-q")
 @pytest.mark.parametrize("name", ["iql", "hiql", "fitted-q"])
 def test_who_acts_by_primitives_refuses_an_environment_of_options(name):
     data = load_data(make_recording(), observation="objects", rooms="own")

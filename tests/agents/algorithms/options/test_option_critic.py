@@ -55,6 +55,7 @@ def softmax(numbers):
 # --- critic -------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("0.4")
 @pytest.mark.parametrize("cost", [0.0, 0.4])
 def test_values_of_fixed_options_are_exact_for_decisions_of_any_duration(cost):
     """Deterministic policies in a deterministic SMDP, random terminations: a fixed point, iterated apart."""

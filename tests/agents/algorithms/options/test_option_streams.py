@@ -115,7 +115,7 @@ def live(count, monkeypatch, **settings):
     return agent, lives, taught
 
 
-@pytest.mark.nightly_for("64")
+@pytest.mark.nightly_for("64", "8")
 @pytest.mark.parametrize("count", [1, 8, 64])
 def test_with_equal_values_both_processes_are_taught_the_returns_summed_by_hand(count, monkeypatch):
     """Every state is worth 0.7 to every option, so that lambda = 1 leaves the return primitive by primitive."""
@@ -134,6 +134,7 @@ def test_with_equal_values_both_processes_are_taught_the_returns_summed_by_hand(
             assert taught[level, "target"][own] == pytest.approx(sum_returns(life, 0.7), abs=2e-3), level
 
 
+@pytest.mark.nightly_for("64")
 @pytest.mark.parametrize("count", [1, 8, 64])
 def test_both_processes_are_taught_stream_by_stream_what_the_formulas_say(count, monkeypatch):
     agent, lives, taught = live(count, monkeypatch)
@@ -261,7 +262,7 @@ def test_the_choice_of_an_option_is_taught_with_the_chance_that_it_was_made_with
     assert np.abs(now[np.arange(len(kept)), choices.option] - kept).max() > 0.05
 
 
-@pytest.mark.nightly_for("ppoc-settings1")
+@pytest.mark.nightly_for("ppoc-settings1", "dac-settings0")
 @pytest.mark.parametrize(("name", "settings"), [("dac", {}), ("ppoc", {"least_samples": 32})])
 def test_with_one_option_it_is_ppo_in_many_rooms_to_the_bit(name, settings):
     arguments = {"primitives": 600, "seed": 1, "eval_every": 300, "eval_episodes": 1}

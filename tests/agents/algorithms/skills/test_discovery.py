@@ -35,6 +35,7 @@ def list_skills(agent):
     return [TableSkill(skill.name, skill.actions[order], skill.starts[order]) for skill in agent.skills]
 
 
+@pytest.mark.nightly_for("successor-267.11", "random-walk-206.98", "combinatorial-267.11")
 @pytest.mark.parametrize(("representation", "primitives"), [
     ("random-walk", 206.98), ("combinatorial", 267.11), ("normalised", 667.47), ("successor", 267.11),
 ])

@@ -68,6 +68,7 @@ def measure_forecasts(agent, puzzle):
 # --- trees --------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("counts2")
 @pytest.mark.parametrize("counts", [(0, 0), (3, 0), (2, 5)])
 def test_the_information_of_a_sample_is_that_of_its_outcome_about_the_distribution(counts):
     """Entropy of the mean less the mean entropy, over the Beta distribution by quantiles."""
@@ -199,7 +200,8 @@ def test_a_set_that_explains_much_less_is_tried_no_further():
 # --- the agent ----------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("layered-reset-trees", "chain-ignore-trees", "tree-ignore-trees", "layered-reset-sets")
+@pytest.mark.nightly_for(
+    "layered-reset-trees", "chain-ignore-trees", "tree-ignore-trees", "layered-reset-sets", "chain-ignore-sets")
 @pytest.mark.parametrize("models", ["trees", "sets"])
 @pytest.mark.parametrize(("kind", "rule"), [("tree", "ignore"), ("layered", "reset"), ("chain", "ignore")])
 def test_it_finds_the_edges_that_matter_and_escapes(kind, rule, models):
@@ -233,6 +235,7 @@ def test_the_published_box_of_twenty_lights_is_modelled_exactly_within_20_000_pr
     assert len(blind.get_graph() & set(puzzle.edges)) <= 12
 
 
+@pytest.mark.nightly
 def test_an_experiment_is_no_worse_than_any_that_an_option_leads_to_and_is_on_its_way():
     """Compared with every action here and in the states in which the option of each light ends, all presses sure."""
     puzzle = LightBoxPuzzle(8, SMALL_BOX.edges, 7, 1.0)
@@ -263,6 +266,7 @@ def test_without_trees_for_what_is_no_bit_it_learns_sets():
         assert isinstance(make_agent("vigorito-barto", space, spaces.Discrete(2), 0).model.learner, GrowingSets)
 
 
+@pytest.mark.nightly_for("trees-300")
 @pytest.mark.parametrize(("models", "decisions"), [("trees", 300), ("sets", 150)])
 def test_an_option_turns_its_bit_on_and_what_that_needs_before(models, decisions):
     env = make_button_env("chain", 4, "ignore", 0)

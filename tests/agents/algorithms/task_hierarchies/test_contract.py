@@ -10,6 +10,7 @@ from hrl_escape.agents.algorithms import task_hierarchies
 from hrl_escape.agents.registry import get_agent_class, list_agents
 from hrl_escape.checks import check_agent
 from hrl_escape.commands.list import _describe_hierarchical
+from tests.covering import thin
 
 NAMES = sorted(
     path.stem.replace("_", "-") for path in Path(task_hierarchies.__path__[0]).glob("*.py") if path.stem != "__init__"
@@ -18,8 +19,8 @@ SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}, "h-uct
          "sol": {"hidden": (8,), "rollout": 30, "longest": 4}}
 
 
-@pytest.mark.nightly_for("h-uct", "h-dqn", "hiro")
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.nightly_for("h-uct", "h-dqn", "hiro", "deep-abstract-q", "hrac", "option-keyboard")
+@pytest.mark.parametrize("name", thin(NAMES, 3))
 def test_it_keeps_the_contract_of_agents(name):
     agent_class = get_agent_class(name)
     check_agent(agent_class, agent_class.Settings(**SMALL.get(name, {})), decisions=100)

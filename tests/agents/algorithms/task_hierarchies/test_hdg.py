@@ -94,6 +94,7 @@ def test_with_the_neighbour_rule_every_walk_arrives_and_is_nearly_shortest(taugh
     assert failures == 0 and ratio == pytest.approx(1.0108, abs=1e-4)
 
 
+@pytest.mark.nightly
 def test_the_next_landmark_of_the_paper_is_that_of_the_region_and_makes_detours(taught):
     """It leads on from the landmark of the state's region, also where the state lies past it."""
     agent = make(next_landmark="from-landmark")

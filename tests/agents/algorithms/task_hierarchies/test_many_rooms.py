@@ -109,7 +109,7 @@ def test_ways_and_distances_to_goals_are_exact(count):
             assert hdg.distances[numbers[state], numbers[goal]][legal] == pytest.approx(lengths[state][legal])
 
 
-@pytest.mark.nightly_for("stack-1", "stack-64")
+@pytest.mark.nightly_for("stack-1", "stack-64", "r-maxq-64")
 @pytest.mark.parametrize(("name", "count"), [("r-maxq", 64), ("stack", 1), ("stack", 64)])
 def test_tasks_are_worth_what_they_earn_in_streams_that_each_have_their_own_calls(name, count):
     env = make_env(2, longest=40)

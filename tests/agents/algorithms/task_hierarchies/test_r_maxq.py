@@ -41,6 +41,7 @@ def _teach(agent, state, action, outcome):
     agent.learn(Step(seen, action, outcome.reward, outcome.reward, 1, after, outcome.terminated, False), [])
 
 
+@pytest.mark.nightly_for("none")
 @pytest.mark.parametrize("slip", ["none", "direction"])
 def test_models_of_tasks_are_those_of_nested_solving(slip):
     """Values, policies and where each task ends, pseudo-rewards included, with chance in the moves and without."""
