@@ -398,10 +398,12 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
     if not kinds:
         raise ComparisonError(f"rooms of {next(iter(words))} lack runs: {LEAST_RUNS} of every agent are needed")
     given = {label for family in found.families if family.given for label in family.learners}
-    against, given_graph = (compare([
-        (label, "search", {kind: each for kind, each in found.best.items() if fits(study, label, kind)})
-        for label in found.followed if (label in given) == is_given], cells) for is_given in (False, True))
-    controls = compare([(label, control, dict.fromkeys(kinds, control)) for label, control in data["controls"].items()
+    bars = {label: {kind: best for kind, best in found.best.items() if fits(study, label, kind)}
+            for label in found.followed}
+    against, given_graph = (compare([(label, "search", bar) for label, bar in bars.items()
+                                     if (label in given) == is_given], cells) for is_given in (False, True))
+    flat: Mapping[str, str] = data["controls"]
+    controls = compare([(label, control, dict.fromkeys(kinds, control)) for label, control in flat.items()
                         if label not in given], cells)
     beyond = {each.agent: each.found for each in [*against, *given_graph]}
     moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
