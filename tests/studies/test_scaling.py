@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from tests.comparison.small import break_checkpoint
+from tests.benchmark.small import break_checkpoint
 
 from hrl_escape.benchmark.comparison import run_grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
