@@ -249,8 +249,7 @@ def check_motions(kind: str, joints: int, queries: int) -> tuple[int, int]:
         for _ in range(first, min(first + 10, queries)):
             path = plan_between_random_postures(planner, state, rng)
             if path is not None:
-                spacing = 2.0 * path.margin / math.sqrt(joints) / float(path.scale.max())
-                for angles in path.interpolate(spacing / 10):
+                for angles in path.interpolate(0.001 / math.sqrt(joints) / float(path.scale.max())):
                     check.place(state.x, state.y, planner.rules.get_heading(state), angles.tolist())
                     assert check.compute_clearance() > 0.0
                 planned, bent = planned + 1, bent + (len(path.points) > 2)

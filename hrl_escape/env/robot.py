@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.bases.base import make_cylinder_link
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.urdf import load_urdf, parse_urdf, prepare_urdf, read_numbers
 from hrl_escape.errors import RobotError
-from hrl_escape.files import check_files
 
-MESH_ENDINGS, LARGEST_MESHES = (".stl", ".obj", ".dae"), 2**25  # bytes of all meshes together: some 600,000 faces
 BASE_LINK = "mobile-base"
 _MOUNT_JOINT = "mobile-base-mount"
 _HAND = "hand"
 _MOVING = ("revolute", "continuous", "prismatic")
+_LARGEST_LIMIT = 1000.0  # rad or m
 _SHIPPED = {  # kind: (file in pybullet_data, hand link)
     "kuka-iiwa": ("kuka_iiwa/model.urdf", "lbr_iiwa_link_7"),
     "franka-panda": ("franka_panda/panda.urdf", "panda_grasptarget"),
@@ -48,6 +48,7 @@ class _Joint:
     high: float
     speed: float
     effort: float
+    mimic: tuple[str, float, float] | None = None  # the joint that it follows, multiplier and offset
 
     @cached_property
     def rows(self) -> tuple[tuple[float, ...], ...]:
@@ -86,7 +87,10 @@ class Robot:
         speeds: largest speed of each joint, rad/s; infinite where the URDF states none.
         efforts: largest torque of each joint, N m; infinite where the URDF states none.
         chain: joints from the base to the hand, moving or not.
-        rest: angles of the moving joints that no primitive moves, by name, rad (or m).
+        rest: angles of the moving joints that no primitive moves and that follow none that one moves, by name, rad
+            (or m).
+        mimics: joints that follow one that primitives move: its number, multiplier and offset, rad (or m), by name.
+        continuous: whether each joint turns without limits.
     """
 
     urdf: str
@@ -101,6 +105,13 @@ class Robot:
     efforts: tuple[float, ...]
     chain: tuple[_Joint, ...]
     rest: dict[str, float]
+    mimics: dict[str, tuple[int, float, float]]
+    continuous: tuple[bool, ...]
+
+    def compute_values(self, angles: Any) -> dict[str, Any]:
+        """Positions of all moving joints by name, rad (or m), where `angles[i]` is that of joint i, rad."""
+        return (self.rest | {name: angles[i] for i, name in enumerate(self.joint_names)}
+                | {name: factor * angles[i] + offset for name, (i, factor, offset) in self.mimics.items()})
 
     def compute_angles(self, joint_steps: tuple[int, ...],
                        joint_offsets: tuple[float, ...] = ()) -> tuple[float, ...]:
@@ -120,12 +131,10 @@ class Robot:
             Shape (..., 3), float64, metres.
         """
         q = np.asarray(angles, dtype=np.float64)
-        x, y, z = 0.0, 0.0, 0.0
+        x, y, z, values = 0.0, 0.0, 0.0, self.compute_values(np.moveaxis(q, -1, 0))
         for joint in reversed(self.chain[:links]):  # the hand in the frame before each joint
             if joint.kind != "fixed":
-                used = joint.name in self.joint_names
-                value = q[..., self.joint_names.index(joint.name)] if used else self.rest[joint.name]
-                x, y, z = joint.move(x, y, z, value)
+                x, y, z = joint.move(x, y, z, values[joint.name])
             (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = joint.rows
             x, y, z = (r00 * x + r01 * y + r02 * z + px, r10 * x + r11 * y + r12 * z + py,
                        r20 * x + r21 * y + r22 * z + pz)
@@ -139,7 +148,7 @@ class Robot:
 
     def compute_elbows(self, angles: tuple[float, ...]) -> NDArray[np.float64]:
         """Polyline of the arm: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""
-        values = self.rest | dict(zip(self.joint_names, angles, strict=True))
+        values = self.compute_values(angles)
         at, places = np.eye(4), []
         for joint in self.chain:
             at = at @ joint.origin
@@ -178,42 +187,6 @@ def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.flo
     return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
 
 
-def load_urdf(path: str | Path) -> str:
-    """Read a user's arm for `RobotConfig(kind="urdf", urdf=...)`, mesh paths made absolute.
-
-    Raises:
-        RobotError: the file is missing or is not URDF.
-    """
-    path = Path(path)
-    try:
-        text = path.read_text()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RobotError(f"cannot read the URDF {path}: {error}") from None
-    root = _parse(text, str(path))
-    for mesh in root.iter("mesh"):
-        mesh.set("filename", str(_find_mesh(path, mesh.get("filename", ""))))
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def _find_mesh(urdf: Path, name: str) -> Path:
-    """Path of a mesh next to the URDF or, for a ROS package, next to any folder above it."""
-    tail = name.removeprefix("package://").removeprefix("file://")
-    for folder in urdf.resolve().parents:
-        if (folder / tail).is_file():
-            return folder / tail
-    raise RobotError(f"the URDF {urdf} shows the mesh {name!r}, which is not in its folder nor in one above")
-
-
-def _parse(text: str, where: str) -> ElementTree.Element:
-    try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
-        raise RobotError(f"{where} is not XML: {error}") from None
-    if root.tag != "robot" or root.find("link") is None:
-        raise RobotError(f"{where} is not a URDF: no <robot> with links in it")
-    return root
-
-
 def _find_shipped(file: str) -> Path:
     spec = importlib.util.find_spec("pybullet_data")
     if spec is None or spec.origin is None:
@@ -230,19 +203,15 @@ def make_robot(config: RobotConfig) -> Robot:
     """
     if config.kind in _SHIPPED:
         file, hand = _SHIPPED[config.kind]
-        arm = _parse(load_urdf(_find_shipped(file)), config.kind)
+        arm = parse_urdf(load_urdf(_find_shipped(file)), config.kind)
         hand = config.hand_link or hand
     elif config.kind == "urdf":
-        arm = _parse(config.urdf or "", "robot.urdf")
-        for name in (mesh.get("filename", "") for mesh in arm.iter("mesh")):
-            if not (Path(name).is_absolute() and Path(name).is_file()):
-                raise RobotError(f"robot.urdf shows the mesh {name!r}, which is no file here. load_urdf(path) "
-                                 "or --set robot.urdf=PATH finds a URDF's meshes in its folder and those above")
+        arm = parse_urdf(config.urdf or "", "robot.urdf")
+        prepare_urdf(arm)
         hand = config.hand_link or arm.findall("link")[-1].get("name", "")
     else:
         arm = _make_arm(config)
         hand = config.hand_link or (_HAND if config.joints else BASE_LINK)
-    check_files((mesh.get("filename", "") for mesh in arm.iter("mesh")), "mesh", MESH_ENDINGS, LARGEST_MESHES)
     return _assemble(config, _mount(config, arm), hand)
 
 
@@ -317,32 +286,51 @@ def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
         axis = axis / length
     low, high = -math.pi, math.pi
     limit = element.find("limit")
-    if limit is not None and kind != "continuous":
-        low, high = (_read_numbers(name, limit.get(side, "0"), 1)[0] for side in ("lower", "upper"))
+    if kind in ("revolute", "prismatic"):
+        if limit is None:
+            raise RobotError(f"joint {name!r} of the URDF is {kind} and has no <limit>. Add one"
+                             + (', or make it type="continuous"' if kind == "revolute" else ""))
+        low, high = (_read_limit(name, limit, side) for side in ("lower", "upper"))
         if not low <= high:
             raise RobotError(f"joint {name!r} of the URDF: lower limit {low:g} is above upper {high:g}")
-    speed, effort = (math.inf if limit is None else _read_numbers(name, limit.get(what, "0"), 1)[0] or math.inf
+    speed, effort = (math.inf if limit is None else _read_limit(name, limit, what) or math.inf
                      for what in ("velocity", "effort"))
     if min(speed, effort) < 0.0:
         raise RobotError(f"joint {name!r} of the URDF: limits of velocity and effort are numbers from 0 (none) up")
     parent = element.find("parent")
     above = parent.get("link", "") if parent is not None else ""
-    return above, _Joint(name, kind, placement, axis, low, high, speed, effort)
+    return above, _Joint(name, kind, placement, axis, low, high, speed, effort, _read_mimic(element))
+
+
+def _read_mimic(element: ElementTree.Element) -> tuple[str, float, float] | None:
+    mimic = element.find("mimic")
+    if mimic is None or element.get("type", "fixed") not in _MOVING:
+        return None
+    name = element.get("name", "")
+    factor, offset = (_read_numbers(name, mimic.get(key, default), 1)[0]
+                      for key, default in (("multiplier", "1"), ("offset", "0")))
+    return mimic.get("joint", ""), factor, offset
+
+
+def _read_limit(joint: str, limit: ElementTree.Element, side: str) -> float:
+    value = _read_numbers(joint, limit.get(side, "0"), 1, f"`{side}` of <limit>")[0]
+    if side in ("lower", "upper") and abs(value) > _LARGEST_LIMIT:
+        raise RobotError(f"joint {joint!r} of the URDF: `{side}` of <limit> must be within +-{_LARGEST_LIMIT:g}, got "
+                         f'{value:g}. Set a finite limit, or make a joint that turns freely type="continuous"')
+    return value
 
 
 def _read_vector(joint: ElementTree.Element, tag: str, key: str, default: str) -> NDArray[np.float64]:
     element = joint.find(tag)
     text = default if element is None else element.get(key, default)
-    return np.array(_read_numbers(joint.get("name", ""), text, 3))
+    return np.array(_read_numbers(joint.get("name", ""), text, 3, f"`{key}` of <{tag}>"))
 
 
-def _read_numbers(joint: str, text: str, count: int) -> list[float]:
-    try:
-        values = [float(word) for word in text.split()]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise RobotError(f"joint {joint!r} of the URDF has {text!r} where {count} numbers belong")
+def _read_numbers(joint: str, text: str, count: int, what: str = "<mimic>") -> tuple[float, ...]:
+    values = read_numbers(text, count)
+    if values is None:
+        valid = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise RobotError(f"joint {joint!r} of the URDF: {what} must be {valid}, got {text!r}")
     return values
 
 
@@ -367,13 +355,22 @@ def _find_chain(whole: ElementTree.Element, hand: str) -> tuple[list[_Joint], li
 
 def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Robot:
     chain, joints = _find_chain(whole, hand)
-    moving = [joint for joint in chain if joint.kind in _MOVING]
+    moving = [joint for joint in chain if joint.kind in _MOVING and joint.mimic is None]
     if len(moving) < config.joints:
-        raise RobotError(f"robot.joints = {config.joints}: only {len(moving)} joints move {hand!r}")
+        raise RobotError(f"robot.joints = {config.joints}: only {len(moving)} independent joints move {hand!r}")
     used = moving[: config.joints]
     step = math.radians(config.joint_step_deg)
-    rest = {j.name: 0.0 if j.low <= 0.0 <= j.high else (j.low + j.high) / 2 for j in joints if j.kind in _MOVING}
+    rest = {j.name: 0.0 if j.low <= 0.0 <= j.high else (j.low + j.high) / 2
+            for j in joints if j.kind in _MOVING and j.mimic is None}
     home = tuple(rest.pop(joint.name) for joint in used)
+    mimics = dict[str, tuple[int, float, float]]()
+    for joint in joints:
+        if joint.mimic is not None:
+            source, factor, offset = _trace_mimic(joint, {j.name: j for j in joints})
+            if source in rest:
+                rest[joint.name] = factor * rest[source] + offset
+            else:
+                mimics[joint.name] = [j.name for j in used].index(source), factor, offset
     slack = 1e-9  # a limit a whole number of steps away can be reached
     return Robot(
         urdf=ElementTree.tostring(whole, encoding="unicode"),
@@ -388,4 +385,19 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
         efforts=tuple(j.effort for j in used),
         chain=tuple(chain),
         rest=rest,
+        mimics=mimics,
+        continuous=tuple(j.kind == "continuous" for j in used),
     )
+
+
+def _trace_mimic(joint: _Joint, joints: dict[str, _Joint]) -> tuple[str, float, float]:
+    """Return the joint that one follows in the end, multiplier and offset."""
+    name, factor, offset = joint.name, 1.0, 0.0
+    for _ in joints:
+        mimic = joints[name].mimic
+        if mimic is None:
+            return name, factor, offset
+        name, factor, offset = mimic[0], factor * mimic[1], factor * mimic[2] + offset
+        if name not in joints or joints[name].kind not in _MOVING:
+            raise RobotError(f"joint {joint.name!r} of the URDF mimics {name!r}, which is no moving joint of it")
+    raise RobotError(f"joint {joint.name!r} of the URDF mimics itself: its <mimic> elements form a circle")

@@ -6,19 +6,18 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, check_room
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
-from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.errors import ConfigError
+from hrl_escape.planning.occupancy_grid import read_occupancy_grid
 
 MOST_MESH_CELLS = 5_000_000
 """Cells that a mesh may take, of its floor or of its faces."""
@@ -86,11 +85,17 @@ class World:
                                 exit=Rectangle(half_x, half_x, half_y, half_y),  # a corner, where no axis comes
                                 puzzle=Nothing())
         world = cls(instance, (x, y))
-        at_x, at_y, heading = start
+        at_x, at_y, heading = _read_start(start)
         state = world.make_state(at_x, at_y, heading)
         begin = Start(state.x, state.y, state.heading_steps, state.heading_offset)
         world = cls(dataclasses.replace(instance, starts=(begin,)), (x, y))
-        check_room(world.instance)
+        try:
+            check_room(world.instance)
+        except ConfigError as error:
+            if not error.field.startswith("instance.starts"):
+                raise
+            raise ConfigError("start", start, f"a pose with x from {x_min:g} to {x_max:g} m and y from {y_min:g} to "
+                                              f"{y_max:g} m at which the base touches nothing solid") from None
         return world
 
     @classmethod
@@ -98,33 +103,24 @@ class World:
              unknown_is_free: bool = False) -> World:
         """Read an occupancy grid as ROS's map_server writes it: a YAML file that names an image.
 
-        Occupied cells become boxes, cells side by side one box; your frame is the map's.
+        The file is read by the rules of nav2's `map_io` in the modes `trinary`, `scale` and `raw`. Occupied cells
+        become boxes, adjacent cells one box. Your frame is the map's.
 
         Args:
             path: the YAML file.
             robot: the robot.
             start: x and y of its axis, m, and its heading, rad, in the map's frame.
-            height: of everything occupied, m.
-            unknown_is_free: whether the robot may go where the map knows nothing.
+            height: height of everything occupied, m.
+            unknown_is_free: whether the robot may enter cells that are unknown or between the thresholds.
 
         Raises:
-            FileReadError: a file that is missing or is no map.
-            ConfigError: a turned map, a height that is none, or a start that is not free.
+            FileReadError: a file is missing, damaged, too large or not a map, or the map is turned.
+            ConfigError: the height is not positive, or the start is not free.
         """
-        path = Path(path)
-        try:
-            about: dict[str, Any] = yaml.safe_load(path.read_text(encoding="utf-8"))
-            cell, (x, y, yaw) = float(about["resolution"]), (float(number) for number in about["origin"])
-            grey = np.asarray(Image.open(path.parent / about["image"]).convert("L"), dtype=np.float64)[::-1] / 255.0
-            occupancy = grey if int(about.get("negate", 0)) else 1.0 - grey
-            low, high = float(about.get("free_thresh", 0.196)), float(about.get("occupied_thresh", 0.65))
-        except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-            raise FileReadError(f"{path} is no map of map_server: {type(error).__name__}: {error}") from None
         if not height > 0.0:
             raise ConfigError("height", height, "above 0 m")
-        if abs(yaw) > 1e-9 or not cell > 0.0:
-            raise ConfigError("map", (cell, yaw), "a resolution above 0 and an origin with yaw 0: turn the image")
-        solid = occupancy > high if unknown_is_free else occupancy >= low
+        grid = read_occupancy_grid(path)
+        solid, cell, (x, y) = grid.find_solid(unknown_is_free), grid.resolution, grid.origin
         rows, columns = solid.shape
         return cls.of(make_columns(np.where(solid, height, 0.0), cell, (x, y)), robot, start,
                       floor=(x, x + cell * columns, y, y + cell * rows), wall_height=height)
@@ -151,7 +147,7 @@ class World:
             ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, or a
                 start that is not free.
         """
-        from hrl_escape.planning.arm.meshes import load_triangles  # loads coal
+        from hrl_escape.env.mesh_files import load_triangles  # loads coal
 
         if not 0.0 < cell < math.inf:
             raise ConfigError("cell", cell, "a length above 0 m")
@@ -186,12 +182,20 @@ class World:
                       floor=(x, x + cell * columns, y, y + cell * rows), wall_height=max(below, heights.max()))
 
     def make_state(self, x: float, y: float, heading: float = 0.0, angles: Sequence[float] | None = None) -> RoomState:
-        """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home."""
+        """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home.
+
+        Angles of continuous joints may have any number of turns.
+        """
+        x, y, heading = _read_start((x, y, heading))
         rules, (at_x, at_y) = Kinematics(self.instance), self.to_room([x, y]).tolist()
-        state = rules.make_state(Start(at_x, at_y, *rules.split_heading(float(heading))))
+        state = rules.make_state(Start(at_x, at_y, *rules.split_heading(heading)))
         if angles is None:
             return state
-        joint_steps, joint_offsets = rules.split_angles(float(angle) for angle in angles)
+        if not all(map(math.isfinite, angles)):
+            raise ConfigError("angles", angles, "finite numbers of rad")
+        turned = [math.remainder(angle, math.tau) if turns else float(angle)
+                  for angle, turns in zip(angles, rules.robot.continuous, strict=True)]
+        joint_steps, joint_offsets = rules.split_angles(turned)
         return state._replace(joint_steps=joint_steps, joint_offsets=joint_offsets)
 
     def to_room(self, points: ArrayLike) -> NDArray[np.float64]:
@@ -206,6 +210,16 @@ class World:
         moved = np.array(points, dtype=np.float64)
         moved[..., :2] += sign * np.array(self.centre)
         return moved
+
+
+def _read_start(start: Sequence[float]) -> tuple[float, float, float]:
+    try:
+        x, y, heading = (float(number) for number in start)
+    except (TypeError, ValueError):
+        raise ConfigError("start", start, "x and y in m, and a heading in rad") from None
+    if not all(map(math.isfinite, (x, y, heading))):
+        raise ConfigError("start", start, "three finite numbers: x and y in m, and a heading in rad")
+    return x, y, heading
 
 
 def measure_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.robot import load_urdf
+from hrl_escape.env.urdf import load_urdf
 from hrl_escape.errors import FileReadError, UnknownNameError
 from hrl_escape.files import parse_json
 from hrl_escape.settings import Settings

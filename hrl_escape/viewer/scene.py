@@ -19,6 +19,7 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import Rectangle, RoomInstance, compute_floors
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.mesh_files import load_mesh
 from hrl_escape.env.pictures import meshes, palette
 from hrl_escape.env.pictures.model import LAYER, RoomModel, RoomPart, RoomPose
 from hrl_escape.env.robot import BASE_LINK, Robot
@@ -72,7 +73,8 @@ def _make_shape(link: str, visual: ElementTree.Element, named: dict[str, Element
     elif kind.tag == "sphere":
         mesh = trimesh.creation.icosphere(subdivisions=2, radius=float(kind.get("radius", 0)))
     elif kind.tag == "mesh":
-        mesh = trimesh.load(kind.get("filename", ""), force="mesh")
+        read = load_mesh(kind.get("filename", ""))
+        mesh = trimesh.Trimesh(read.vertices, read.triangles)  # merges equal vertices, so that it is shaded smoothly
         mesh.apply_scale(_read(kind, "scale", "1 1 1"))
     else:
         mesh = trimesh.Trimesh()
@@ -115,7 +117,7 @@ class ArmPose:
 
     def compute(self, angles: Sequence[float]) -> dict[str, NDArray[np.float64]]:
         """Placement (4, 4) of every link in the base's frame, for angles, rad, of the joints that primitives move."""
-        values = {**self._robot.rest, **dict(zip(self._robot.joint_names, angles, strict=True))}
+        values = self._robot.compute_values(angles)
         found = {BASE_LINK: np.eye(4)}
         for name, kind, parent, child, origin, axis in self._joints:
             motion = np.eye(4)

@@ -14,7 +14,8 @@ import pybullet
 import pytest
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.robot import BASE_LINK, LARGEST_MESHES, Robot, load_urdf, make_robot, sample_hand_positions
+from hrl_escape.env.robot import BASE_LINK, Robot, make_robot, sample_hand_positions
+from hrl_escape.env.urdf import LARGEST_MESHES, load_urdf
 from hrl_escape.errors import ConfigError, FileReadError, RobotError
 from tests.command_line import run_here
 from tests.forks import run_fork
@@ -211,14 +212,14 @@ def test_last_link_is_the_hand_unless_one_is_named():
 
 @pytest.mark.parametrize(("change", "message"), [
     ({"hand_link": "claw"}, "no link 'claw' in the URDF; its links are mobile-base, base, turned"),
-    ({"joints": 5, "hand_link": "tool"}, "robot.joints = 5: only 4 joints move 'tool'"),
+    ({"joints": 5, "hand_link": "tool"}, "robot.joints = 5: only 4 independent joints move 'tool'"),
     ({"urdf": "not XML"}, "not XML"),
     ({"urdf": "<sdf/>"}, "not a URDF"),
     ({"urdf": USER_URDF.replace("</robot>", '<link name="x"/></robot>')}, "one root link, not ['base', 'x']"),
     ({"urdf": USER_URDF.replace('parent link="base"', 'parent link="y"')}, "no joints lead from the URDF's root link"),
     ({"urdf": USER_URDF.replace('"base"', f'"{BASE_LINK}"')}, "rename it"),
     ({"urdf": USER_URDF.replace("1 2 2", "0 0 0")}, "joint 'a' of the URDF moves about the axis 0 0 0"),
-    ({"urdf": USER_URDF.replace("1 2 2", "1 2")}, "joint 'a' of the URDF has '1 2' where 3 numbers belong"),
+    ({"urdf": USER_URDF.replace("1 2 2", "1 2")}, "`xyz` of <axis> must be 3 finite numbers, got '1 2'"),
     ({"urdf": USER_URDF.replace('lower="-1" upper="2"', 'lower="3" upper="2"')}, "lower limit 3 is above upper 2"),
     ({"urdf": USER_URDF.replace("continuous", "floating")}, "joint 'b' of the URDF is 'floating'; valid are fixed"),
 ])
@@ -241,8 +242,8 @@ def test_user_s_robot_without_a_urdf_is_no_room_configuration():
 
 def test_circle_of_joints_is_refused():
     circle = """<robot name="o"><link name="a"/><link name="b"/><link name="c"/>
-      <joint name="1" type="revolute"><parent link="b"/><child link="c"/></joint>
-      <joint name="2" type="revolute"><parent link="c"/><child link="b"/></joint></robot>"""
+      <joint name="1" type="continuous"><parent link="b"/><child link="c"/></joint>
+      <joint name="2" type="continuous"><parent link="c"/><child link="b"/></joint></robot>"""
     with pytest.raises(RobotError, match="no joints lead from the URDF's root link to 'c'"):
         make_robot(RobotConfig(kind="urdf", joints=1, urdf=circle))
 
@@ -262,8 +263,8 @@ def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Pat
     (tmp_path / "arm_description" / "urdf").mkdir()
     file = tmp_path / "arm_description" / "urdf" / "arm.urdf"
     for name in ("package://arm_description/meshes/link.stl", "../meshes/link.stl", f"file://{mesh}"):
-        file.write_text(f'<robot name="r"><link name="l"><visual><geometry><mesh filename="{name}"/></geometry>'
-                        "</visual></link></robot>")
+        file.write_text(f'<robot name="r"><link name="l"><collision><geometry><mesh filename="{name}"/></geometry>'
+                        "</collision></link></robot>")
         found = load_urdf(file).split('filename="')[1].split('"')[0]
         assert Path(found).resolve() == mesh
     file.write_text(file.read_text().replace("link.stl", "gone.stl"))
@@ -275,8 +276,8 @@ def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Pat
     ("faces.stl", b"\0" * 80 + (3_000_000).to_bytes(4, "little"), "at most"),
     ("bomb.zip", b"PK", "no known kind"),
     ("bomb.3mf", b"PK", "no known kind"),
-    ("folder.obj", None, "no file here"),
-    ("pipe.dae", "pipe", "no file here"),
+    ("folder.obj", None, "a folder"),
+    ("pipe.dae", "pipe", "a device or a pipe"),
 ])
 def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: str, content, words: str):
     path = tmp_path / name
@@ -289,7 +290,7 @@ def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: 
         if name == "faces.stl":
             os.truncate(path, 84 + 50 * 3_000_000)  # three million faces; the file has holes
     with pytest.raises((FileReadError, RobotError), match=words) as caught:
-        make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=make_visual(path)), joints=1))
+        make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=make_collision(path)), joints=1))
     assert str(path) in str(caught.value)
 
 
@@ -299,8 +300,8 @@ def test_many_meshes_are_too_large_together(tmp_path: Path):
         path.touch()
         os.truncate(path, LARGEST_MESHES // 2)
     with pytest.raises(FileReadError, match="together"):
-        make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes="".join(map(make_visual, paths))), joints=1))
-    two = "".join(map(make_visual, paths[:2]))
+        make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes="".join(map(make_collision, paths))), joints=1))
+    two = "".join(map(make_collision, paths[:2]))
     assert make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=two), joints=1)).joint_names == ("turn",)
 
 
@@ -309,5 +310,5 @@ MESH_ARM = """<robot name="r"><link name="base">{meshes}</link><link name="tip"/
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 
 
-def make_visual(path: Path) -> str:
-    return f'<visual><geometry><mesh filename="{path}"/></geometry></visual>'
+def make_collision(path: Path) -> str:
+    return f'<collision><geometry><mesh filename="{path}"/></geometry></collision>'

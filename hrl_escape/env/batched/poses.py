@@ -148,6 +148,10 @@ def compute_hand(robot: Robot, angles: Tensor) -> list[Number]:
         if joint.name in robot.joint_names:
             number = robot.joint_names.index(joint.name)
             value, cos, sin = angles[number], cosines[number], sines[number]
+        elif joint.name in robot.mimics:
+            number, factor, offset = robot.mimics[joint.name]
+            value = factor * angles[number] + offset
+            cos, sin = torch.cos(value), torch.sin(value)
         else:
             value = robot.rest[joint.name]
             cos, sin = math.cos(value), math.sin(value)

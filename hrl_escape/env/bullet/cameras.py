@@ -16,6 +16,7 @@ import threading
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -30,10 +31,12 @@ from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import Footprint, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.mesh_files import write_meshes
 from hrl_escape.env.pictures import meshes, palette
 from hrl_escape.env.pictures.meshes import Mesh, make_cylinder, make_shadow
 from hrl_escape.env.pictures.model import LAYER, RoomModel, RoomPart
 from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.files import temporary_folder
 
 SUN = (-4.0, 2.6, 9.0)
@@ -346,7 +349,7 @@ class Stage:
         self._base = [self._add(mesh, "body", colour) for colour, mesh in meshes.make_base(robot).items()]
         self._shadow = self._add(
             make_shadow(meshes.compute_base_outline(robot), robot.body_height, 5 * LAYER), "shadow")
-        self._arm, self._joints = self._add_arm(model.rules.robot) if robot.joints else (None, ())
+        self._arm, self._joints = self._add_arm(model.rules.robot) if robot.joints else (None, {})
         self._props = [self._add_part(part) for part in model.props]
         self._prop_shadows = [None if part.role == "plate" else self._add_prop_shadow(part) for part in model.props]
         self._leaf = None if model.leaf is None else self._add_standing(model.leaf)
@@ -369,8 +372,8 @@ class Stage:
         self._place(self._shadow, (pose.x, pose.y, 0.0), _STILL)
         if self._arm is not None:
             self._place(self._arm, at, turn)
-            for joint, angle in zip(self._joints, pose.angles, strict=True):
-                pybullet.resetJointState(self._arm, joint, angle, physicsClientId=self.client)
+            for joint, angle in self.model.rules.robot.compute_values(pose.angles).items():
+                pybullet.resetJointState(self._arm, self._joints[joint], angle, physicsClientId=self.client)
         for body, shadow, (x, y, z, *turn) in zip(self._props, self._prop_shadows, pose.props, strict=True):
             self._place(body, (x, y, z), turn)
             if shadow is not None:
@@ -452,28 +455,29 @@ class Stage:
         disc = meshes.outline_footprint(make_footprint(0.0, 0.0, radius, radius, is_disc=True))
         return self._add(make_shadow(disc, part.high - part.low, 4 * LAYER), "shadow")
 
-    def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
+    def _add_arm(self, robot: Robot) -> tuple[int, dict[str, int]]:
         """Add the robot's URDF without its base; round parts become meshes that Bullet shades smoothly."""
         with temporary_folder() as folder:
             cylinder = folder / "cylinder.obj"
             cylinder.write_text(meshes.format_obj(make_cylinder(1.0, -0.5, 0.5)))
             urdf = folder / "arm.urdf"
-            urdf.write_text(_adapt_urdf(robot, self.model.instance.robot, str(cylinder)))
+            urdf.write_text(_adapt_urdf(robot, self.model.instance.robot, str(cylinder), folder))
             body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
         numbers = {}
         for index in range(pybullet.getNumJoints(body, physicsClientId=self.client)):
             numbers[pybullet.getJointInfo(body, index, physicsClientId=self.client)[1].decode()] = index
         self.roles[body] = "arm"
-        for name, angle in robot.rest.items():
-            pybullet.resetJointState(body, numbers[name], angle, physicsClientId=self.client)
-        return body, tuple(numbers[name] for name in robot.joint_names)
+        return body, numbers
 
 
-def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:
+def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str, folder: Path) -> str:
     """Keep only the visual shapes of the arm; cylinders become slimmer, so that the hand stands out."""
     root = ElementTree.fromstring(robot.urdf)
+    drop_shapes(root, "collision")
+    if config.kind == "urdf":
+        write_meshes(root, folder)
     for link in root.findall("link"):
-        for part in ("collision", "inertial", *(("visual",) if link.get("name") == BASE_LINK else ())):
+        for part in ("inertial", *(("visual",) if link.get("name") == BASE_LINK else ())):
             for element in link.findall(part):
                 link.remove(element)
         link.append(ElementTree.fromstring(

@@ -23,6 +23,7 @@ import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -33,10 +34,12 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Start, compute_floors
 from hrl_escape.env.kinematics import Glide, RoomState, Rules, Transition
+from hrl_escape.env.mesh_files import write_meshes
 from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.primitives import Primitive
 from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.errors import StateError, UnsupportedError, show_value
 from hrl_escape.files import temporary_folder
 
@@ -76,6 +79,7 @@ class SceneBodies:
     drives: tuple[int, ...]  # joints x, y, yaw of the carriage
     joints: tuple[int, ...]  # the joints that primitives move, in the order of the action space
     rest_joints: tuple[tuple[int, float], ...]  # the other moving joints and the angles they keep
+    mimics: tuple[tuple[int, int, float, float], ...]  # joints that follow one of `joints`: its number, factor, offset
     solids: tuple[int, ...]  # walls and obstacles, in the instance's order
     door: int | None  # the door's body, or None
     targets: tuple[int, ...]  # in the puzzle's order
@@ -186,7 +190,9 @@ class PhysicsDynamics:
         angles = self._rules.get_angles(state)
         joints = (*zip(scene.drives, drives, physics.drive_velocities, strict=True),
                   *zip(scene.joints, angles, physics.joint_velocities, strict=True),
-                  *((joint, angle, 0.0) for joint, angle in scene.rest_joints))
+                  *((joint, angle, 0.0) for joint, angle in scene.rest_joints),
+                  *((joint, factor * angles[i] + offset, factor * physics.joint_velocities[i])
+                    for joint, i, factor, offset in scene.mimics))
         for joint, position, velocity in joints:
             pybullet.resetJointState(scene.robot, joint, position, velocity, client)
         if scene.door is not None:
@@ -275,7 +281,10 @@ class PhysicsDynamics:
     def _hold(self, state: RoomState) -> None:
         """Arm motors hold the joints; the door's hinge is locked, or free once solved."""
         client, scene = self.client, self.scene
-        for joint, angle, effort in zip(scene.joints, self._rules.get_angles(state), self._efforts, strict=True):
+        angles = self._rules.get_angles(state)
+        held = (*zip(scene.joints, angles, self._efforts, strict=True),
+                *((joint, factor * angles[i] + offset, _JOINT_EFFORT) for joint, i, factor, offset in scene.mimics))
+        for joint, angle, effort in held:
             pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, angle, 0.0, effort,
                                            _POSITION_GAIN, 1.0, physicsClientId=client)
         if scene.door is not None:
@@ -325,6 +334,11 @@ class PhysicsDynamics:
                 pybullet.setJointMotorControl2(scene.robot, scene.joints[joint], pybullet.POSITION_CONTROL,
                                                angle + done * change, rate * change, self._efforts[joint],
                                                _POSITION_GAIN, 1.0, physicsClientId=client)
+                for follower, i, factor, offset in scene.mimics:
+                    if i == joint:
+                        pybullet.setJointMotorControl2(
+                            scene.robot, follower, pybullet.POSITION_CONTROL, factor * (angle + done * change) + offset,
+                            factor * rate * change, _JOINT_EFFORT, _POSITION_GAIN, 1.0, physicsClientId=client)
             done += rate / RATE
             pybullet.stepSimulation(client)
             points = pybullet.getContactPoints(scene.robot, physicsClientId=client)
@@ -457,7 +471,7 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
     """Load the robot and return its fields of `SceneBodies`."""
     flags = pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE
     with temporary_folder() as folder:
-        (folder / "robot.urdf").write_text(_adapt_urdf(robot, instance.robot))
+        (folder / "robot.urdf").write_text(_adapt_urdf(robot, instance.robot, folder))
         body = pybullet.loadURDF(str(folder / "robot.urdf"), useFixedBase=True, flags=flags, physicsClientId=client)
     links, joints, moving = {}, {}, {}
     for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
@@ -481,12 +495,16 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
         "drives": tuple(joints[name] for name in DRIVE_JOINTS),
         "joints": tuple(joints[name] for name in robot.joint_names),
         "rest_joints": rest,
+        "mimics": tuple((moving[name], *follows) for name, follows in robot.mimics.items()),
     }
 
 
-def _adapt_urdf(robot: Robot, config: RobotConfig) -> str:
+def _adapt_urdf(robot: Robot, config: RobotConfig, folder: Path) -> str:
     """Make the hand solid, give massless links the small mass that Bullet needs, and add the carriage."""
     root = ElementTree.fromstring(robot.urdf)
+    if config.kind == "urdf":
+        drop_shapes(root, "visual")
+        write_meshes(root, folder)
     for link in root.findall("link"):
         if link.find("inertial") is None:
             link.append(_make_inertial(0.05, 1e-4))

@@ -7,6 +7,7 @@ joint steps: `RoomPlanner` plans primitives, and such paths are followed only by
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -21,19 +22,27 @@ from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, check_fields
-from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.env.robot import BASE_LINK
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
+from hrl_escape.planning.arm.srdf import read_srdf
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath
 
-KEPT_MARGINS = (0.02, 0.005, 0.001)
-"""Clearances for a path, m: the first that start and goal allow is used."""
+CLEARANCE, OWN_CLEARANCE = 0.02, 0.001
+"""Distances that a path keeps, m: of the robot from solids and the floor, and of its links from each other.
+
+Where a link is nearer to a solid at start or goal, it keeps nine tenths of that distance from it; the base keeps the
+first of `BASE_CLEARANCES` that start and goal allow. Less than `OWN_CLEARANCE` at start or goal is refused.
+"""
+BASE_CLEARANCES = (0.02, 0.005, 0.001)  # m
 DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
+_CORNER_CLEARANCES = (0.02, 0.01, 0.005, 0.002)  # m, tried for a path with corners
+_BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
 CONFIGURATIONS = 200_000
 """Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
 _Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
@@ -44,7 +53,7 @@ class ArmPosture:
     """Configuration of the arm that brings the hand to a target."""
 
     angles: NDArray[np.float64]  # joint angles, shape (joints,), rad
-    margin: float  # least distance of a joint from its limits, rad
+    margin: float  # least distance of a joint from its limits, rad; at most pi, as continuous joints have none
     manipulability: float
     """Yoshikawa's measure, sqrt(det(J J^T)), of the hand's translation, and of its rotation too if the target was a
     pose (Yoshikawa 1985); of J^T J for arms with fewer joints than rows."""
@@ -57,7 +66,7 @@ class ArmPlanner:
     Attributes:
         instance: the room; its exit door counts as shut.
         kinematics: the arm's, from Pinocchio.
-        postures: joint angles of the SRDF's group states by name, rad.
+        postures: joint angles of the SRDF's group states by name, rad; `group/name` where groups share a name.
     """
 
     def __init__(self, instance: RoomInstance, srdf: str | Path | None = None) -> None:
@@ -80,7 +89,7 @@ class ArmPlanner:
         self._srdf: str | None = None
         self.postures: dict[str, tuple[float, ...]] = {}
         if srdf is not None:
-            self._srdf, self.postures = _read_srdf(srdf, self.rules.robot)
+            self._srdf, self.postures = read_srdf(srdf, self.rules.robot)
 
     @cached_property
     def kinematics(self) -> ArmKinematics:
@@ -166,13 +175,20 @@ class ArmPlanner:
         found: list[NDArray[np.float64]] = []
         for seed in starts.tolist():
             angles = self.kinematics.solve_ik(goal, seed, tolerance)
-            if angles is not None and all(np.abs(angles - other).max() > DISTINCT for other in found):
+            if angles is not None and all(np.abs(self._subtract(angles, other)).max() > DISTINCT for other in found):
                 found.append(angles)
         rows = 3 if goal.shape == (3,) else 6
-        postures = [ArmPosture(angles, float(np.minimum(angles - low, high - angles).min()),
+        limited = ~np.array(self.rules.robot.continuous)
+        postures = [ArmPosture(angles, float(np.minimum(angles - low, high - angles).min(where=limited, initial=np.pi)),
                                self._measure_manipulability(angles, rows), self.is_free(state, angles.tolist()))
                     for angles in found]
         return sorted((p for p in postures if p.is_free or not only_free), key=lambda p: -p.margin)
+
+    def _subtract(self, angles: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Difference of configurations, rad, that of continuous joints within [-pi, pi]."""
+        difference = angles - others
+        turned = difference - np.round(difference / math.tau) * math.tau
+        return np.where(self.rules.robot.continuous, turned, difference)
 
     def _read_target(self, target: ArrayLike, state: RoomState) -> NDArray[np.float64]:
         """Target in the base frame."""
@@ -229,7 +245,8 @@ class ArmPlanner:
 
         Args:
             state: base and arm at the beginning.
-            goal: joint angles (joints,), or several of which any will do (n, joints), rad.
+            goal: joint angles (joints,), or several of which any will do (n, joints), rad. A continuous joint goes to
+                its angle in the nearest turn; the path's angles go on beyond pi.
             planner: one of OMPL's, such as `RRTConnect`.
             seed: the same seed gives the same path.
             budget: places that may be tested.
@@ -241,14 +258,10 @@ class ArmPlanner:
             ConfigError: the goal is no configuration within the joint limits.
         """
         check_fields(self.rules, state)
-        goals, place = self._read_goals(goal), (state.x, state.y, self.rules.get_heading(state))
-        names = self.rules.robot.joint_names
-
-        def is_free(angles: NDArray[np.float64], margin: float) -> bool:
-            return self._get_collisions(margin).is_free(*place, angles.tolist())
-
+        goals = self._read_goals(goal)
         start = np.array(self.rules.get_angles(state))
-        return self._search(state, names, self._limits, start, goals, is_free, planner, seed, budget, time_limit)
+        return self._search(state, self.rules.robot.joint_names, self._limits, start, goals, lambda at, margin: True,
+                            planner, seed, budget, time_limit)
 
     def plan_whole_body(self, state: RoomState, place: Sequence[float], goal: ArrayLike, *,
                         planner: str = "RRTConnect", seed: int = 0, budget: int = 200_000,
@@ -288,13 +301,12 @@ class ArmPlanner:
         if (np.abs(end[:2]) > floor).any():
             raise ConfigError("place", place, f"x and y on the floor, at most {floor.tolist()}")
 
-        def is_free(at: NDArray[np.float64], margin: float) -> bool:
-            x, y, turn, *angles = at.tolist()
-            return (self._floor.does_fit(x, y, (math.cos(turn), math.sin(turn)), margin)
-                    and self._get_collisions(margin).is_free(x, y, turn, angles))
+        def does_base_fit(at: NDArray[np.float64], margin: float) -> bool:
+            x, y, turn = at[:3].tolist()
+            return self._floor.does_fit(x, y, (math.cos(turn), math.sin(turn)), margin)
 
         names = ("x", "y", "heading", *self.rules.robot.joint_names)
-        return self._search(state, names, box, start, goals, is_free, planner, seed, budget, time_limit)
+        return self._search(state, names, box, start, goals, does_base_fit, planner, seed, budget, time_limit)
 
     def _read_goals(self, goal: ArrayLike) -> NDArray[np.float64]:
         low, high = self._limits
@@ -302,63 +314,124 @@ class ArmPlanner:
             goals = np.atleast_2d(np.asarray(goal, dtype=np.float64))
         except (TypeError, ValueError):
             goals = np.zeros((0, 0))
+        low, high = np.where(self.rules.robot.continuous, [[-np.inf], [np.inf]], (low, high))
         right = goals.ndim == 2 and len(goals) and goals.shape[1] == len(low)
         if not right or not (np.isfinite(goals).all() and (goals >= low - 1e-9).all() and (goals <= high + 1e-9).all()):
             raise ConfigError("goal", goal, f"angles of {len(low)} joints from {np.round(low, 3).tolist()} to "
                                             f"{np.round(high, 3).tolist()} rad")
         return np.clip(goals, low, high)
 
-    def _search(self, state: RoomState, names: tuple[str, ...], box: tuple[NDArray[np.float64], NDArray[np.float64]],
-                start: NDArray[np.float64], goals: NDArray[np.float64], is_free: _Test, planner: str, seed: int,
-                budget: int, time_limit: float | None) -> MotionPath:
-        """Search with the largest margin that start and goal allow, in coordinates scaled to metres of motion.
+    def _list_turns(self, start: NDArray[np.float64], goals: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return goals with continuous joints in the nearest turn, then with one of them the other way round."""
+        joints = len(self.rules.robot.joint_names)
+        turning = np.flatnonzero(self.rules.robot.continuous) + len(start) - joints
+        nearest = goals.copy()
+        nearest[:, -joints:] = start[-joints:] + self._subtract(goals[:, -joints:], start[-joints:])
+        others = []
+        for column in turning:
+            other = nearest.copy()
+            other[:, column] -= np.where(other[:, column] >= start[column], math.tau, -math.tau)
+            others.append(other)
+        return np.concatenate([nearest, *others])
 
-        Points of the robot move by at most the sum of the scaled coordinates' changes, which is at most half the margin
-        between two tested places. So two links come nearer to each other by at most half of it, and the path may still
-        be left by a quarter.
+    def _search(self, state: RoomState, names: tuple[str, ...], box: tuple[NDArray[np.float64], NDArray[np.float64]],
+                start: NDArray[np.float64], goals: NDArray[np.float64], does_base_fit: _Test, planner: str, seed: int,
+                budget: int, time_limit: float | None) -> MotionPath:
+        """Search in coordinates scaled to metres of motion, with a margin for every pair of bodies.
+
+        Motions are tested whole, by conservative advancement: all along a path every pair keeps half of its margin.
         """
         if planner not in OMPL_PLANNERS:
             raise UnknownNameError("path planner", planner, OMPL_PLANNERS)
         began, clock = read_clock(), Clock(time_limit)
         place = (state.x, state.y, self.rules.get_heading(state))
+        joints = len(self.rules.robot.joint_names)
 
-        def fail(reason: PlanningReason, posture: NDArray[np.float64] | None = None) -> PlanningFailed:
-            meets = ""
-            if posture is not None:
-                x, y, turn = posture[:3].tolist() if names[:1] == ("x",) else place
-                angles = posture[-len(self._limits[0]) :].tolist()
-                found = self._get_collisions(0.0).list_collisions(x, y, turn, angles)
-                meets = ", ".join(found) or "the base meets a solid"
-            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,), nearest=meets)
+        def locate(at: NDArray[np.float64]) -> tuple[float, float, float, list[float]]:
+            x, y, turn = at[:3].tolist() if names[:1] == ("x",) else place
+            return x, y, turn, at[-joints:].tolist()
 
-        if not is_free(start, 0.0):
-            raise fail(PlanningReason.START_INVALID, start)
-        last = goals[0]
-        goals = np.array([goal for goal in goals if is_free(goal, 0.0)])
+        def fail(reason: PlanningReason, nearest: str = "") -> PlanningFailed:
+            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,), nearest=nearest)
+
+        def find_fault(at: NDArray[np.float64]) -> str:
+            """Say why a path may not begin or end at a place; empty if it may."""
+            meets = self._get_collisions(0.0).list_collisions(*locate(at))
+            if meets or not does_base_fit(at, 0.0):
+                return ", ".join(meets) or "the base meets a solid"
+            near = plain.measure_near(*locate(at), within=OWN_CLEARANCE)
+            return ", ".join(f"nearer than {1000 * OWN_CLEARANCE:g} mm: {plain.describe(pair)}" for pair in near)
+
+        plain = self._get_collisions(CLEARANCE)
+        if fault := find_fault(start):
+            raise fail(PlanningReason.START_INVALID, fault)
+        faults = [find_fault(goal) for goal in goals]
+        goals = np.array([goal for goal, fault in zip(goals, faults, strict=True) if not fault])
         if not len(goals):
-            raise fail(PlanningReason.GOAL_INVALID, last)
+            raise fail(PlanningReason.GOAL_INVALID, faults[0])
+        margins = dict.fromkeys(plain.list_own_pairs(), 0.9 * OWN_CLEARANCE)
+        for at in (start, *goals):
+            for pair, away in plain.measure_near(*locate(at), within=CLEARANCE).items():
+                margins[pair] = min(margins.get(pair, CLEARANCE), 0.9 * away)
+        collisions = plain.with_margins(margins)
+        *far, turn = plain.compute_sweeps().tolist()
+        scale = np.maximum(far if len(far) == len(start) else (1.0, 1.0, max(turn, 0.1), *far), 1e-3)
+        goals = self._list_turns(start, goals)
+        low, high = (np.array(side) * scale for side in box)
+        low, high = np.minimum(low, start * scale), np.maximum(high, start * scale)
+        around = np.concatenate([np.zeros(len(start) - joints, dtype=bool), self.rules.robot.continuous])
+        low = np.where(around, (start - math.tau) * scale, low)
+        high = np.where(around, (start + math.tau) * scale, high)
         spent = CheckerBudget(budget, clock)
-        for margin in KEPT_MARGINS:
-            ends = np.array([goal for goal in goals if is_free(goal, margin)])
-            if not (is_free(start, margin) and len(ends)):
-                continue
-            *joints, turn = self._get_collisions(margin).compute_sweeps().tolist()
-            scale = np.array(joints if len(joints) == len(start) else (1.0, 1.0, max(turn, 0.1), *joints))
-            scale = np.maximum(scale, 1e-3)
-            low, high = (np.array(side) * scale for side in box)
-            spacing = margin / 2.0 / math.sqrt(len(scale))
-            try:
-                path = find_joint_path(np.minimum(low, start * scale), np.maximum(high, start * scale), start * scale,
-                                       ends * scale, lambda at, m=margin, s=scale: is_free(at / s, m), spacing, spent,
-                                       planner=planner, seed=seed)
-            except OutOfTime:
-                raise fail(clock.reason) from None
-            if path is not None:
-                return MotionPath(names, path / scale, scale, margin / 4.0, planner, spent.calls, read_clock() - began,
-                                  self.rules.robot)
-            if spent.calls >= budget:
-                raise fail(PlanningReason.BUDGET_EXHAUSTED)
-        raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION)
+        fitting = [margin for margin in BASE_CLEARANCES
+                   if does_base_fit(start, margin) and all(does_base_fit(goal, margin) for goal in goals)]
+        if not fitting:
+            raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION, "the base has less than 1 mm of room at start or goal")
+        margin = fitting[0]
+
+        def is_free(at: NDArray[np.float64], tests: ArmCollisions = collisions) -> bool:
+            return does_base_fit(at, margin) and tests.is_free(*locate(at))
+
+        def is_move_free(begin: NDArray[np.float64], end: NDArray[np.float64],
+                         tests: ArmCollisions = collisions) -> bool:
+            if not all(is_free(begin + share * (end - begin), tests) for share in (1.0, 0.5, 0.25, 0.75)):
+                return False
+            change, done = np.zeros(3 + joints), 0.0
+            change[-len(begin):] = end - begin
+            base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * turn)
+            while done < 1.0:
+                spent.spend(1)
+                at = begin + done * (end - begin)
+                most = 1.0 - done
+                if base_motion > 0.0:
+                    room = next((room for room in _BASE_ROOMS if does_base_fit(at, room)), margin)
+                    if room == margin and not does_base_fit(at, margin):
+                        return False
+                    most = min(most, (room - margin / 2.0) / base_motion)
+                share = tests.advance(*locate(at), change, most)
+                if share < 0.0:
+                    return False
+                done += share
+            return True
+
+        try:
+            path = find_joint_path(low, high, start * scale, goals * scale, lambda at: is_free(at / scale), margin,
+                                   spent, planner=planner, seed=seed,
+                                   is_move_free=lambda begin, end: is_move_free(begin / scale, end / scale))
+        except OutOfTime:
+            raise fail(clock.reason) from None
+        calls = spent.calls
+        if path is None:
+            raise fail(PlanningReason.BUDGET_EXHAUSTED if spent.calls >= budget
+                       else PlanningReason.UNREACHABLE_AT_RESOLUTION)
+        points, kept = path / scale, min([margin, *margins.values()])
+        spent = CheckerBudget(10 * budget + 10_000)
+        for more in _CORNER_CLEARANCES if len(points) > 2 and kept < margin else ():  # corners are rounded within it
+            wider = plain.with_margins({pair: max(kept, more) for pair, kept in margins.items()})
+            if all(is_move_free(begin, end, wider) for begin, end in itertools.pairwise(points)):
+                kept = min(margin, more)
+                break
+        return MotionPath(names, points, scale, kept / 4.0, planner, calls, read_clock() - began, self.rules.robot)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -401,22 +474,6 @@ class ReachMap:
         if path is not None:
             save_figure(path, figure)
         return figure
-
-
-def _read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[float, ...]]]:
-    """Text of an SRDF, and the joint angles of its group states; joints that a state leaves out are at home."""
-    text = source if isinstance(source, str) and source.lstrip().startswith("<") else None
-    try:
-        text = Path(source).read_text(encoding="utf-8") if text is None else text
-        root = ElementTree.fromstring(text)
-        states = {state.get("name", ""): {joint.get("name"): float(joint.get("value", "")) for joint in state}
-                  for state in root.findall("group_state")}
-    except (OSError, ValueError, ElementTree.ParseError) as error:
-        raise ConfigError("srdf", str(source)[:60], f"an SRDF, its text or path: {error}") from None
-    if root.tag != "robot":
-        raise ConfigError("srdf", root.tag, "an SRDF, whose root is <robot>")
-    home = dict(zip(robot.joint_names, robot.home, strict=True))
-    return text, {name: tuple(angles.get(joint, at) for joint, at in home.items()) for name, angles in states.items()}
 
 
 def _make_halton(count: int, dimensions: int) -> NDArray[np.float64]:

@@ -57,6 +57,8 @@ ARM_CHECKS = 20_000
 STANDS = 12
 """Places of the base where inverse kinematics searches for postures."""
 IK_SEEDS = 8
+RETREATS, RETREAT = 64, 0.3
+"""Postures drawn to leave a target that the hand touches, and the distance of the hand from its middle there, m."""
 INSIDE = 0.2
 """Distance from the edge of a region where a path into it ends, m."""
 BACK = (0.005, 0.01, 0.02, 0.05)
@@ -329,7 +331,10 @@ class MotionSampler(Mover):
         return Reacher(self._room)
 
     def _list_presses(self, state: RoomState, goal: PressGoal, grips: bool) -> Iterator[list[MotionPath]]:
-        """The arm's motion from where the base stands, then ways to places from which the hand gets to a target."""
+        """The arm's motion from where the base stands, then ways to places from which the hand gets to a target.
+
+        A hand that touches the target already also leaves it and comes back.
+        """
         target = self._room.targets[goal.target]
 
         def find_postures(at: RoomState) -> NDArray[np.float64]:
@@ -347,6 +352,11 @@ class MotionSampler(Mover):
             if not played[0] or grips:
                 for path in self._move_arm(played[1], _find_place(places, way.points[-1, :2]).postures):
                     yield [way, path]
+        if state.touching >> goal.target & 1:  # the hand has to leave the target before it can press it again
+            for leave in self._move_arm(state, self._list_retreats(state, (target.x, target.y, target.z))):
+                played = self._play(time_path(leave, self._rates), state)
+                if played is not None and not played[0] and not played[1].touching >> goal.target & 1:
+                    yield from ([leave, *rest] for rest in self._list_presses(played[1], goal, grips))
 
     def _list_places(self, state: RoomState, goal: PressGoal,
                      find_postures: Callable[[RoomState], NDArray[np.float64]]) -> list[_Place]:
@@ -377,6 +387,17 @@ class MotionSampler(Mover):
         here = np.array(self._rules.get_angles(state))
         angles = np.array([posture.angles for posture in found]).reshape(-1, len(here))
         return angles[np.argsort(np.abs(angles - here).max(axis=1, initial=0.0), kind="stable")]
+
+    def _list_retreats(self, state: RoomState, point: tuple[float, float, float]) -> NDArray[np.float64]:
+        """Joint angles (postures, joints), rad, with the hand well away from a target's middle, the nearest first."""
+        robot, heading = self._rules.robot, self._rules.get_heading(state)
+        low, high = np.array(robot.limits).T
+        angles = np.random.default_rng(self._seed).uniform(low, high, (RETREATS, len(low)))
+        cos, sin = math.cos(heading), math.sin(heading)
+        hands = robot.compute_hand(angles) @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        away = np.linalg.norm(hands + (state.x, state.y, state.z) - point, axis=1) > RETREAT
+        angles = angles[away]
+        return angles[np.argsort(np.abs(angles - self._rules.get_angles(state)).max(axis=1), kind="stable")][:IK_SEEDS]
 
     def _move_arm(self, state: RoomState, postures: NDArray[np.float64]) -> Iterator[MotionPath]:
         """Motions of the arm alone: OMPL's, then straight ones, as kinematic arms pass through solids."""

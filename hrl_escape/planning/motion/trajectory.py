@@ -215,7 +215,8 @@ def _check_joints(names: tuple[str, ...], parts: Sequence[Press], robot: Robot |
 
     A motion can begin up to `SOFT_LIMIT` beyond a limit, where physics left the joint.
     """
-    for name, (low, high) in zip(robot.joint_names, robot.limits, strict=True) if robot else ():
+    joints = zip(robot.joint_names, robot.limits, robot.continuous, strict=True) if robot else ()
+    for name, (low, high) in ((name, limits) for name, limits, turns in joints if not turns):
         column = names.index(name)
         angles = np.concatenate([motion.positions[:, column] for motion, *_ in parts])
         begin = min(max(float(angles[0]), low - SOFT_LIMIT), high + SOFT_LIMIT)

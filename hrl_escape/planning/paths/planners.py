@@ -87,7 +87,8 @@ for _name in OMPL_PLANNERS:
 
 def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
                     goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool], spacing: float,
-                    budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0
+                    budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0,
+                    is_move_free: Callable[[NDArray[np.float64], NDArray[np.float64]], bool] | None = None
                     ) -> NDArray[np.float64] | None:
     """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
 
@@ -101,6 +102,8 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         budget: maximum number of tested places, and the time limit.
         planner: one of `OMPL_PLANNERS`.
         seed: equal seeds give equal paths.
+        is_move_free: tests a whole straight motion between two places, of which the first is free. `spacing` then has
+            no effect.
 
     Returns:
         Places to go through in straight lines, (k, n), or None if the planner gave up or the budget is used up.
@@ -110,12 +113,18 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
     """
     axes, stages = range(len(low)), (budget.most / 4, budget.most / 2)
 
+    def read(state: Any) -> NDArray[np.float64]:
+        return np.array([state[k] for k in axes])
+
     def check(state: Any) -> bool:
         budget.spend(1)
-        return bool(is_free(np.array([state[k] for k in axes])))
+        return bool(is_free(read(state)))
 
     try:
-        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages)
+        if is_move_free is not None and is_move_free(start, goals[0]):
+            return np.stack([start, goals[0]])
+        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages,
+                       is_move_free=is_move_free and (lambda begin, end: is_move_free(read(begin), read(end))))
     except Spent:
         path = None
     if path is not None and np.abs(goals - path[-1]).max(axis=1).min() <= 1e-9:
@@ -186,11 +195,11 @@ def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_fr
     bounds = base.RealVectorBounds(len(low))
     for k in range(len(low)):
         bounds.setLow(k, float(low[k]))
-        bounds.setHigh(k, float(high[k]))
+        bounds.setHigh(k, float(max(high[k], low[k] + 1e-9)))  # OMPL refuses a box without a size
     space.setBounds(bounds)
     information: Any = base.SpaceInformation(space)
     information.setStateValidityChecker(is_free)
-    information.setStateValidityCheckingResolution(spacing / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(min(0.5, spacing / space.getMaximumExtent()))
     if is_move_free is not None:
         information.setMotionValidator(_WholeMotions(information, is_move_free))
     information.setup()

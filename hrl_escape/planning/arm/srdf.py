@@ -1,0 +1,93 @@
+"""SRDF, MoveIt's description of an arm: pairs of links that may touch, and named postures."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+from hrl_escape.env.robot import Robot
+from hrl_escape.env.urdf import LARGEST_URDF, find_xacro
+from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.files import read_bytes
+
+_SLACK = 1e-3  # rad or m that a posture may be beyond a limit, from which it is brought back
+
+
+def read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[float, ...]]]:
+    """Read an SRDF, its text or path.
+
+    Args:
+        source: text or path.
+        robot: the robot whose planned joints the postures are for.
+
+    Returns:
+        The text, with `disable_default_collisions` written out as pairs; and joint angles, rad, of the group states
+        that name a planned joint. Joints that a state leaves out are at home. A name that several groups use becomes
+        `group/name`.
+
+    Raises:
+        ConfigError: there is no such file, it is no SRDF or one of another robot, or a state has an angle that is no
+            number or beyond the joint's limits.
+    """
+    is_text = isinstance(source, str) and source.lstrip("\ufeff \n\r\t").startswith("<")
+    where = "the text given" if is_text else str(source)
+    try:
+        content = str(source).lstrip("\ufeff") if is_text else read_bytes(source, "SRDF", LARGEST_URDF)
+        root = ElementTree.fromstring(content)
+    except (FileReadError, ValueError, LookupError, ElementTree.ParseError) as error:
+        raise ConfigError("srdf", where[:200], f"an SRDF, its text or path: {error}") from None
+    xacro = find_xacro(root)
+    if xacro is not None:
+        raise ConfigError("srdf", where[:200], f"an expanded SRDF: it contains {xacro}. Run `xacro FILE > robot.srdf`")
+    if root.tag != "robot":
+        raise ConfigError("srdf", root.tag, "an SRDF, whose root is <robot>")
+    if root.find("joint") is not None:
+        raise ConfigError("srdf", where[:200], "an SRDF: this is a URDF")
+    links = {link.get("name", "") for link in ElementTree.fromstring(robot.urdf).findall("link")}
+    named = {pair.get(end, "") for pair in root.iter("disable_collisions") for end in ("link1", "link2")}
+    if named and not named & links:
+        raise ConfigError("srdf", where[:200], f"the SRDF of this robot: none of its links, such as "
+                                               f"{sorted(named)[0]!r}, is in the URDF")
+    _write_out_defaults(root, sorted(links))
+    return ElementTree.tostring(root, encoding="unicode"), _read_postures(root, robot)
+
+
+def _write_out_defaults(root: ElementTree.Element, links: list[str]) -> None:
+    """Add the pairs of links whose collisions are off by default, but for those that are enabled."""
+    off = {element.get("link", "") for element in root.findall("disable_default_collisions")}
+    enabled = {frozenset((pair.get("link1"), pair.get("link2"))) for pair in root.findall("enable_collisions")}
+    for first, second in itertools.combinations(links, 2):
+        if (first in off or second in off) and frozenset((first, second)) not in enabled:
+            ElementTree.SubElement(root, "disable_collisions", link1=first, link2=second, reason="Default")
+
+
+def _read_postures(root: ElementTree.Element, robot: Robot) -> dict[str, tuple[float, ...]]:
+    found = list[tuple[str, str, tuple[float, ...]]]()
+    for state in root.findall("group_state"):
+        angles = dict(zip(robot.joint_names, robot.home, strict=True))
+        planned = [joint for joint in state.findall("joint") if joint.get("name") in angles]
+        for joint in planned:
+            angles[joint.get("name", "")] = _read_angle(state, joint, robot)
+        if planned:
+            found.append((state.get("group", ""), state.get("name", ""), tuple(angles.values())))
+    uses = Counter(name for _, name, _ in found)
+    return {name if uses[name] == 1 else f"{group}/{name}": angles for group, name, angles in found}
+
+
+def _read_angle(state: ElementTree.Element, joint: ElementTree.Element, robot: Robot) -> float:
+    name, text = joint.get("name", ""), joint.get("value", "")
+    number = robot.joint_names.index(name)
+    low, high = robot.limits[number]
+    try:
+        angle = float(text)
+    except ValueError:
+        angle = math.nan
+    if robot.continuous[number] and math.isfinite(angle):
+        return angle
+    if not low - _SLACK <= angle <= high + _SLACK:
+        raise ConfigError("srdf", text, f"an angle of joint {name!r} from {low:g} to {high:g} rad in the group state "
+                                        f"{state.get('name', '')!r}")
+    return min(max(angle, low), high)
