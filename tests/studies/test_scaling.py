@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
-from tests.benchmark.small import break_checkpoint
 
 from hrl_escape.benchmark.comparison import run_grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
@@ -43,6 +42,7 @@ from studies.scaling.rounds import (
 )
 from studies.store import Store
 from studies.study import find_study
+from tests.benchmark.small import break_checkpoint
 from tests.studies.lines import load, save
 
 
