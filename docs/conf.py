@@ -27,6 +27,7 @@ extensions = [
     "redirects",
     "reference",
     "tables",
+    "themes",
     "tutorials",
 ]
 exclude_patterns = ["_build", "_ext", "images"]

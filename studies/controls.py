@@ -1,8 +1,7 @@
-"""Studies of controls: agents held against the same agents without one part, in the same rooms with the same seeds.
+"""Studies of controls: agents compared with the same agents without one part, in the same rooms with the same seeds.
 
 Such a study is data: its grid, and questions of pairs of agents in `study.toml`. A pair is one test over all rooms, and
-the pairs of all questions are one family (Holm). Whether learning adds anything is a further question: each learner
-against the best searcher that learns nothing. Its page extends `controls.md.j2`.
+the pairs of all questions are one family (Holm). Each learner is also compared with the best search baseline.
 """
 
 from __future__ import annotations
@@ -10,68 +9,39 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.inference import ALPHA, compute_interval
 from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
 from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_iqm
-from hrl_escape.benchmark.verdict import count_things, tell_privileges
-from hrl_escape.env.pictures import palette
-from hrl_escape.names import join_words
 from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
-from studies.statistics import compare_strata, find_visible_difference, tell_power
-from studies.study import Page, Study
+from studies.statistics import compare_strata
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["Advice", "Contrast", "Question", "analyse", "choose_advice", "chooses_presses", "compare_controls",
-           "compare_with_chance", "compare_with_searchers", "find_forced", "find_repeated_rooms", "group",
-           "list_questions", "tell_beyond", "tell_question", "tell_visible"]
-
-
-@dataclass(frozen=True)
-class Advice:
-    """Advice to a user that follows from a question, in the words of its answer.
-
-    Attributes:
-        question: its heading; empty for the one whether learners beat the best searcher.
-        gains: said where some agent is shown to gain; `{names}` are those that do, and `{first}` gains most.
-        loses: said where none gains and some is shown to lose; `{names}` are those.
-        open: said otherwise.
-    """
-
-    question: str
-    gains: str
-    open: str
-    loses: str = ""
+__all__ = ["Contrast", "Question", "analyse", "chooses_presses", "compare_controls", "compare_with_search",
+           "find_repeated_rooms", "group", "list_questions"]
 
 
 @dataclass(frozen=True)
 class Question:
-    """Question that is asked of every pair of a kind.
+    """Comparison of agents with their controls.
 
     Attributes:
-        heading: in the page.
-        words: what is held against what.
-        who: what each of the agents is: `hierarchy`, or of a single agent its name in code.
+        heading: short name.
         agents: labels.
         controls: labels of their controls, in the same order; a single one is the control of all.
-        many: plural of `who`.
     """
 
     heading: str
-    words: str
-    who: str
     agents: tuple[str, ...]
     controls: tuple[str, ...]
-    many: str = ""
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
@@ -91,7 +61,6 @@ class Contrast(NamedTuple):
         low: lower end of its interval, which leaves out 0 where the test shows a difference.
         high: upper end.
         p: two-sided, corrected over the family.
-        visible: smallest gain that the test would have seen in 80 % of such studies.
         equal: rooms in which all runs of both are equal, first escape and efficiency, and some run escapes.
     """
 
@@ -102,12 +71,16 @@ class Contrast(NamedTuple):
     low: float
     high: float
     p: float
-    visible: float
     equal: tuple[str, ...]
 
     @property
+    def mean(self) -> float:
+        """The gain, as other estimates with an interval name theirs."""
+        return self.gain
+
+    @property
     def is_same(self) -> bool:
-        """Both run alike in every room, so that nothing was compared."""
+        """Both run alike in every room, so nothing was compared."""
         return len(self.equal) == len(self.rooms)
 
     @property
@@ -130,42 +103,6 @@ Cells = Mapping[tuple[str, str], Cell]
 def list_questions(study: Study) -> list[Question]:
     """Questions, in the order of the page."""
     return [read_record(Question, table) for table in study.data["questions"]]
-
-
-def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
-    """Contrasts, conclusions, tables and figure of lines; of several budgets the largest counts."""
-    budget = max(line.primitives for line in lines)
-    lines = sorted((line for line in lines if line.primitives in (0, budget)), key=lambda line: line.place)
-    agents = _list_agents(study, lines)
-    shown = _list_rooms(study, lines)
-    repeated = find_repeated_rooms(group(lines), shown)
-    rooms = [room for room in shown if room not in repeated]
-    cells = {place: runs for place, runs in group(lines).items() if place[0] in rooms}
-    asked = list_questions(study)
-    questions = list(zip(asked, compare_controls(asked, cells, rooms), strict=True))
-    beyond, chance = compare_with_searchers(cells, rooms, agents), compare_with_chance(cells, rooms, agents)
-    headline = tell_beyond(beyond, len(rooms))
-    told = [tell_question(question, contrasts, beyond, chance) for question, contrasts in questions]
-    (grid,) = study.grids
-    answers = {"": beyond, **{question.heading: contrasts for question, contrasts in questions}}
-    visible = tell_visible([contrast for _, contrasts in questions for contrast in contrasts])
-    return Page({
-        "headline": headline, "budget": budget, "visible": visible,
-        "advice": choose_advice([read_record(Advice, table) for table in study.data["advice"]], answers),
-        "beyond": list(map(_tell_contrast, beyond)),
-        "questions": [{"heading": question.heading, "words": question.words, "told": sentence,
-                       "pairs": list(map(_tell_contrast, contrasts))}
-                      for (question, contrasts), sentence in zip(questions, told, strict=True)],
-        "episodes": count_things(max(line.episodes for line in lines), "episode"),
-        "cases": [*(f"`{room}` and `{first}` are one task: all {count} runs agree in both. It counts once."
-                    for room, (first, count) in repeated.items()), *_tell_lost(cells, rooms, agents),
-                  *_tell_forced(cells, rooms, agents)],
-        "rooms": {room: _tabulate([list(group(lines).get((room, agent), {}).values()) for agent in agents])
-                  for room in shown},
-        "left_out": [room.label for room in grid.rooms if room.label not in shown],
-        "privileges": tell_privileges(map(AgentSpec.parse, agents)), "runs": 1 + max(line.seed for line in lines),
-        "figure": study.name, "gist_length": study.data.get("gist", 3),
-    }, {study.name: draw(cells, rooms, agents)}, [headline, *told])
 
 
 # --- what is compared ------------------------------------------------------------------------
@@ -196,13 +133,6 @@ def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> dict[str, tuple[s
     return found
 
 
-def find_forced(cells: Cells, room: str, agent: str) -> bool:
-    """True if a learner's runs are equal whatever the seed, first escape and efficiency: no choice was left to it."""
-    runs = list(cells.get((room, agent), {}).values())
-    return (len(runs) >= LEAST_RUNS and runs[0].primitives > 0 and runs[0].first_escape is not None
-            and all(_are_equal(run, runs[0]) for run in runs))
-
-
 def _are_equal(one: BaselineRun, other: BaselineRun) -> bool:
     return (one.efficiency, one.escapes, one.first_escape) == (other.efficiency, other.escapes, other.first_escape)
 
@@ -218,24 +148,16 @@ def compare_controls(questions: Sequence[Question], cells: Cells, rooms: Sequenc
     return [[found[pair] for pair in question.pairs if pair in found] for question in questions]
 
 
-def compare_with_searchers(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:
-    """Each learner against the searcher that does best in each room.
+def compare_with_search(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:
+    """Each learner against the most efficient search baseline of each room.
 
-    The best of several is taken after a look at them, which favours the searcher: what beats it, beats all.
+    The choice of the best one favours the baseline: a learner that beats it beats all.
     """
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
-    best = {room: max((agent for agent in searchers if len(cells.get((room, agent), {})) >= LEAST_RUNS),
+    baselines = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
+    best = {room: max((agent for agent in baselines if len(cells.get((room, agent), {})) >= LEAST_RUNS),
                       key=lambda agent, room=room: _average(cells[room, agent]), default="") for room in rooms}
-    return _compare([(agent, "the best searcher", best) for agent in agents if AgentSpec.parse(agent).learns], cells,
-                    rooms)
-
-
-def compare_with_chance(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:
-    """Each learner against random choices among what it chooses among."""
-    chance = {spec.chooses_options: agent for agent in agents if (spec := AgentSpec.parse(agent)).algorithm == "random"}
-    return _compare([(agent, other, dict.fromkeys(rooms, other)) for agent in agents
-                     if (spec := AgentSpec.parse(agent)).learns and (other := chance.get(chooses_presses(spec)))],
-                    cells, rooms)
+    learners = [agent for agent in agents if AgentSpec.parse(agent).learns]
+    return _compare([(agent, "the best search baseline", best) for agent in learners], cells, rooms)
 
 
 def chooses_presses(spec: AgentSpec) -> bool:
@@ -257,9 +179,9 @@ def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells
             room for room in rooms if all(_are_equal(one, two) for one, two in pairs[room])
             and any(one.first_escape is not None for one, _ in pairs[room]))))
     tests = compare_strata([gains for _, _, gains, _ in asked])
-    return [Contrast(agent, other, {room: float(own.mean()) for room, own in zip(rooms, gains, strict=True)}, *test,
-                     find_visible_difference(gains, ALPHA / len(asked)), equal)
-            for (agent, other, gains, equal), test in zip(asked, tests, strict=True)]
+    means = [{room: float(own.mean()) for room, own in zip(rooms, gains, strict=True)} for _, _, gains, _ in asked]
+    return [Contrast(agent, other, mean, *test, equal)
+            for (agent, other, _, equal), mean, test in zip(asked, means, tests, strict=True)]
 
 
 def _pair(runs: Cell, others: Cell) -> list[tuple[BaselineRun, BaselineRun]]:
@@ -270,103 +192,47 @@ def _average(runs: Cell) -> float:
     return float(np.mean([run.efficiency for run in runs.values()]))
 
 
-# --- words -----------------------------------------------------------------------------------
+# --- findings ------------------------------------------------------------------------------
 
 
-def tell_beyond(beyond: Sequence[Contrast], rooms: int) -> str:
-    """The finding: which learners reach more than the best searcher that learns nothing, over all rooms."""
-    if not beyond:
-        return f"Nothing is concluded, as no learner has {LEAST_RUNS} runs beside a searcher's in every room."
-    better = [contrast for contrast in beyond if contrast.is_better]
-    of = f"in {count_things(rooms, 'room')}"
-    if not better:
-        level = sum(not contrast.is_worse for contrast in beyond)
-        rest = f"{level} of {len(beyond)} are not shown to reach less" if level else f"all {len(beyond)} reach less"
-        return f"No learner is shown to beat the best searcher that learns nothing {of}; {rest}."
-    names = join_words(f"`{contrast.agent}`" for contrast in better)
-    return f"{len(better)} of {len(beyond)} learners beat the best searcher that learns nothing {of}: {names}."
-
-
-def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Sequence[Contrast],
-                  chance: Sequence[Contrast]) -> str:
-    """One sentence: who gains over its control, and whether that is more than searching and chance reach."""
-    if not contrasts:
-        return f"{question.heading}: nothing is concluded, as no pair has {LEAST_RUNS} runs in every room."
-    same = [contrast for contrast in contrasts if contrast.is_same]
-    asked = [contrast for contrast in contrasts if contrast not in same]
-    better, worse = ([contrast for contrast in asked if getattr(contrast, name)] for name in ("is_better", "is_worse"))
-    are_many = len(question.pairs) > 1
-    many = question.many or f"{question.who}s"
-    parts = []
-    if better:
-        gains = sorted(contrast.gain for contrast in better)
-        span = f"{gains[0]:+.2f}" + (f" to {gains[-1]:+.2f}" if len(gains) > 1 else "")
-        parts.append(f"{len(better)} of {len(contrasts)} {many} gain ({span})" if are_many
-                     else f"{question.who} gains ({span})")
-        above = {contrast.agent for contrast in beyond if contrast.is_better}
-        beating = sum(contrast.agent in above for contrast in better)
-        parts.append("none of them beats the best searcher" if not beating else
-                     f"{'it beats' if len(better) == 1 else f'{beating} of them beat'} the best searcher too")
-        lucky = [contrast.agent for contrast in chance if contrast.p >= ALPHA]
-        if level := [f"`{contrast.agent}`" for contrast in better if contrast.agent in lucky]:
-            parts.append(f"{join_words(level)} {'is' if len(level) == 1 else 'are'} not shown to beat chance")
-    elif asked:
-        parts.append(f"none of {len(contrasts)} {many} is shown to gain" if are_many
-                     else f"{question.who} is not shown to gain")
-    if worse:
-        losses = join_words(f"`{contrast.agent}` ({contrast.gain:+.2f})" for contrast in worse)
-        parts.append(f"{losses} lose{'s' if len(worse) == 1 else ''}")
-    if same:
-        names = join_words(f"`{contrast.agent}`" for contrast in same)
-        controls = "its control" if len(same) == 1 else "their controls"
-        parts.append(f"{names} and {controls} run alike in every room, so nothing was compared")
-    return f"{question.heading}: {', '.join(parts)}."
-
-
-def choose_advice(advice: Sequence[Advice], answers: Mapping[str, Sequence[Contrast]]) -> str:
-    """A sentence for each question, by its answer."""
-    said = []
-    for part in advice:
-        contrasts = sorted(answers[part.question], key=lambda contrast: -contrast.gain)
-        better, worse = ([f"`{contrast.agent}`" for contrast in contrasts if getattr(contrast, name)]
-                         for name in ("is_better", "is_worse"))
-        words, names = ((part.gains, better) if better else (part.loses, worse) if worse and part.loses else
-                        (part.open, []))
-        said.append(words.format(names=join_words(names), first="".join(names[:1])))
-    return " ".join(said)
-
-
-def tell_visible(contrasts: Sequence[Contrast]) -> str:
-    """Differences that the tests could have seen, by the spread of the runs; empty where nothing was compared."""
-    return tell_power([contrast.visible for contrast in contrasts if not contrast.is_same], "a gain of",
-                      "{:.2f}".format)
-
-
-def _tell_contrast(contrast: Contrast) -> str:
-    verdict = "gains" if contrast.is_better else "loses" if contrast.is_worse else "no difference is shown"
-    rooms = ", ".join(f"{room} {gain:+.2f}" for room, gain in contrast.rooms.items())
-    equal = f"; equal run for run in {join_words(contrast.equal)}" if contrast.equal else ""
-    other = contrast.other if " " in contrast.other else f"`{contrast.other}`"
-    return (f"`{contrast.agent}` against {other}: {verdict}, "
-            f"{contrast.gain:+.2f} ({contrast.low:+.2f} to {contrast.high:+.2f}); {rooms}{equal}.")
-
-
-def _tell_lost(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[str]:
-    """Rooms where efficiency tells no learners apart, as none escapes."""
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
+    """Contrasts of all questions and with the best search baseline, and tables, of runs with the largest budget."""
+    budget = max(line.primitives for line in lines)
+    lines = sorted((line for line in lines if line.primitives in (0, budget)), key=lambda line: line.place)
+    agents, shown = _list_agents(study, lines), _list_rooms(study, lines)
+    every = group(lines)
+    repeated = find_repeated_rooms(every, shown)
+    rooms = [room for room in shown if room not in repeated]
+    cells = {place: runs for place, runs in every.items() if place[0] in rooms}
+    questions = list_questions(study)
+    contrasts = compare_controls(questions, cells, rooms)
+    beyond = compare_with_search(cells, rooms, agents)
     learners = [agent for agent in agents if AgentSpec.parse(agent).learns]
-    lost = [room for room in rooms
-            if not any(run.escapes for agent in learners for run in cells.get((room, agent), {}).values())]
-    said = f"In {join_words(lost)} no learner escapes after training: this budget does not tell them apart."
-    return [said] * bool(lost)
+    numbers = SimpleNamespace(
+        budget=budget, rooms=len(rooms), runs=1 + max(line.seed for line in lines), repeated=repeated,
+        questions={question.heading: {each.agent: each for each in own}
+                   for question, own in zip(questions, contrasts, strict=True)},
+        beyond={each.agent: each for each in beyond},
+        success={agent: float(np.mean([run.escapes for room in rooms for run in cells[room, agent].values()]))
+                 for agent in learners if all((room, agent) in cells for room in rooms)})
+    name = study.name.replace("-", "_")
+    return Findings(numbers, {
+        f"{name}_controls": make_table(["question", "learner", "control", "difference in efficiency", "rooms"], [
+            [question.heading, *_describe_contrast(each)]
+            for question, own in zip(questions, contrasts, strict=True) for each in own]),
+        f"{name}_beyond": make_table(["learner", "against", "difference in efficiency", "rooms"],
+                                     [_describe_contrast(each) for each in beyond]),
+        f"{name}_rooms": "\n\n".join(f"**{room}**\n\n" + _tabulate(
+            [list(every.get((room, agent), {}).values()) for agent in agents]) for room in shown)})
 
 
-def _tell_forced(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[str]:
-    told = []
-    for agent in agents:
-        if forced := [room for room in rooms if find_forced(cells, room, agent)]:
-            told.append(f"`{agent}` runs alike with every seed in {join_words(forced)}: what it is told leaves it no "
-                        "choice there.")
-    return told
+def _describe_contrast(contrast: Contrast) -> list[str]:
+    """Cells of a table: both agents, the difference (bold where it is significant) and the difference in each room."""
+    gain = f"{contrast.gain:+.2f} ({contrast.low:+.2f} to {contrast.high:+.2f})"
+    other = AgentSpec.parse(contrast.other).title if " " not in contrast.other else contrast.other
+    return [AgentSpec.parse(contrast.agent).title, other,
+            f"**{gain}**" if contrast.is_better or contrast.is_worse else "equal runs" if contrast.is_same else gain,
+            ", ".join(f"{room} {gain:+.2f}" for room, gain in contrast.rooms.items())]
 
 
 def _list_rooms(study: Study, lines: Sequence[BaselineRun]) -> list[str]:
@@ -381,9 +247,6 @@ def _list_agents(study: Study, lines: Sequence[BaselineRun]) -> list[str]:
     return sorted({line.agent for line in lines}, key=lambda agent: ([*known, agent].index(agent), agent))
 
 
-# --- table and figure ------------------------------------------------------------------------
-
-
 def _compute_wait(run: BaselineRun) -> float:
     """Primitives to the first escape in training; the whole budget without one."""
     return float(run.primitives if run.first_escape is None else min(run.first_escape, run.primitives))
@@ -396,46 +259,9 @@ def _tabulate(cells: Sequence[Sequence[BaselineRun]]) -> str:
         scores = np.array([run.efficiency for run in runs])
         low, high = compute_interval(compute_iqm, [scores], (0.0, 1.0), np.random.default_rng(2019))
         escaped = sum(run.first_escape is not None for run in runs)
-        rows.append([f"`{runs[0].agent}`", len(runs),
+        rows.append([AgentSpec.parse(runs[0].agent).title, f"`{runs[0].agent}`", len(runs),
                      f"{float(compute_iqm([scores])):.3f} ({float(low):.3f} to {float(high):.3f})",
                      f"{np.mean([run.progress for run in runs]):.2f}", f"{np.mean([run.escapes for run in runs]):.0%}",
                      f"{np.mean(list(map(_compute_wait, runs))):,.0f} ({escaped} of {len(runs)})"
                      if runs[0].primitives else "no training"])
-    return make_table(["agent", "runs", "efficiency", "progress", "escapes", "first escape"], rows)
-
-
-def draw(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> Figure:
-    """Mean efficiency over rooms, a dot a room: learners from the best down, lines for the best searcher and chance."""
-    def average(agent: str) -> list[float]:
-        return [_average(cells[room, agent]) for room in rooms if (room, agent) in cells]
-
-    specs = {agent: AgentSpec.parse(agent) for agent in agents}
-    learners = sorted((agent for agent in agents if specs[agent].learns), key=lambda agent: np.mean(average(agent)))
-    searchers = [agent for agent in agents if specs[agent].name in SEARCH_BASELINES]
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(7.6, 1.2 + 0.24 * len(learners)), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.subplots()
-        for at, agent in enumerate(learners):
-            values = average(agent)
-            axes.plot(values, [at] * len(values), "o", markersize=3.5, alpha=0.45, color=palette.LINES[0],
-                      markeredgewidth=0, label=None if at else "a room")
-            axes.plot(np.mean(values), at, "D", markersize=6, color=palette.LINES[0],
-                      label=None if at else "mean over rooms")
-        best = [max((_average(cells[room, agent]) for agent in searchers if (room, agent) in cells), default=0.0)
-                for room in rooms]
-        if any(best):
-            axes.axvline(float(np.mean(best)), color=palette.INK, linewidth=1.4, label="best searcher without learning")
-        for agent in agents:
-            if specs[agent].algorithm == "random" and specs[agent].chooses_options:
-                axes.axvline(float(np.mean(average(agent))), color=palette.MUTED, linestyle="--", linewidth=1.2,
-                             label="random options")
-        axes.set_yticks(range(len(learners)), learners)
-        axes.set_xlabel("efficiency after training", color=palette.INK)
-        finish_axes(axes)
-        axes.set_xlim(-0.03, 1.03)
-        axes.xaxis.set_major_formatter("{x:.1f}")
-        axes.set_xticks(np.linspace(0, 1, 6))
-        axes.grid(visible=False, axis="y")
-        axes.grid(axis="x", color="#e5dfd2", linewidth=0.8)
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
-    return figure
+    return make_table(["agent", "label", "runs", "efficiency", "progress", "success rate", "first escape"], rows)

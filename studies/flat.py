@@ -254,9 +254,9 @@ class _RepeatedEnv(gymnasium.Wrapper):
         while len(rewards) < self.repeat and not (terminated or truncated):
             observation, reward, terminated, truncated, info = self.env.step(action)
             rewards.append(float(reward))
-        told = {"duration": len(rewards), "discount": self.gamma ** len(rewards),
+        extra = {"duration": len(rewards), "discount": self.gamma ** len(rewards),
                 "discounted_reward": sum(self.gamma**number * reward for number, reward in enumerate(rewards))}
-        return observation, sum(rewards), terminated, truncated, {**info, **told}
+        return observation, sum(rewards), terminated, truncated, {**info, **extra}
 
 
 class FlatJob(NamedTuple):

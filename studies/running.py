@@ -1,4 +1,4 @@
-"""Runs of a study: makes those that are missing, keeps a line of each, and writes the page of all lines."""
+"""Runs of a study: makes missing runs, keeps a line of each, and analyses all lines."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from hrl_escape.errors import ComparisonError, ConfigError, FileWriteError, Unkn
 from hrl_escape.files import TEMPORARY_PREFIX, describe_write_failure, make_folder
 from hrl_escape.processes import taking_turns
 from studies.baseline import BaselineRun, collect_baselines
-from studies.page import write_page
 from studies.store import Line, Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
 
 __all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "open_store",
            "refuse_failures", "run_study"]
 
-PAGES = Path("docs/results")
 NO_TRAINING = 100
 """Training budget of references: only their evaluations count."""
 COUNTS = ("runs", "primitives", "minutes", "rooms", "replicates", "episodes")
@@ -31,10 +29,9 @@ class StudyArgs:
     """Options that all studies share."""
 
     docs: Path | None = None
-    """Folder that takes page, figures and results; by default docs/results, with the results in the study's own
-    folder, where they join those that are there."""
+    """Folder of the results, in its subfolder `raw`; by default the study's own folder."""
     from_raw: bool = False
-    """Train nothing: write the page anew from the results."""
+    """Train nothing: analyse the results."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +43,7 @@ class GridArgs(StudyArgs):
     workers: int | None = None
     """Runs at a time; one a core by default."""
     first_seed: int = 0
-    """Lowest training seed; those from 100 on are fresh. Give another `--docs` too, or the page tells of both."""
+    """Lowest training seed; those from 100 on are fresh. Give `--docs` too, to keep them apart."""
     runs: int | None = None
     """Training seeds of each agent in each room; the grid's by default."""
     primitives: int | None = None
@@ -61,43 +58,42 @@ def get_args(study: Study) -> type[Any]:
 
 
 def open_store(study: Study, docs: Path | None) -> Store:
-    """Results of a study: published ones, or those of a folder of pages."""
+    """Results of a study: committed ones, or those in a folder."""
     path = study.folder / "raw.jsonl" if docs is None else docs / "raw" / f"{study.name}.jsonl"
     return Store(path, getattr(study.analysis, "LINES", (BaselineRun,)))
 
 
-def run_study(study: Study, args: Any) -> Page:
-    """Make what is missing, unless only the page is asked for, and write the page.
+def run_study(study: Study, args: Any) -> Findings:
+    """Make missing runs, unless `from_raw` is set, and analyse all lines.
 
     Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
 
     Raises:
-        ComparisonError: a run failed, or there is no run to tell of.
+        ComparisonError: a run failed, or there are no runs.
         FileReadError: the results are damaged.
-        FileWriteError: results or page cannot be written.
+        FileWriteError: results cannot be written.
         EscapeError: see `run_grid`.
     """
     for name in COUNTS:
         value = getattr(args, name, None)
         if value is not None and value <= 0:
             raise ConfigError(name, value, "it must be above 0")
-    docs, store = args.docs or PAGES, open_store(study, args.docs)
+    store = open_store(study, args.docs)
     if not args.from_raw:
-        claim_folder(docs)
         claim_folder(store.path.parent)
         getattr(study.analysis, "measure", measure_grids)(study, args, store)
     with taking_turns(store.path.parent):
         lines = store.load()
         if not lines:
             raise ComparisonError(f"{store.path} holds no run" + (": leave out --from-raw" if args.from_raw else ""))
-        return write_page(study, analyse(study, lines), docs)
+        return analyse(study, lines)
 
 
-def analyse(study: Study, lines: list[Any]) -> Page:
-    """Findings of a study in these lines.
+def analyse(study: Study, lines: list[Any]) -> Findings:
+    """Analyse lines of a study.
 
     Raises:
-        ComparisonError: runs are missing without which it says nothing.
+        ComparisonError: required runs are missing.
     """
     return study.analysis.analyse(study, lines)
 

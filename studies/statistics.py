@@ -5,21 +5,20 @@ from __future__ import annotations
 import itertools
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import special, stats  # pyright: ignore[reportMissingTypeStubs]
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.benchmark.inference import ALPHA, LEVEL, compare_pairs, correct_by_holm
 from hrl_escape.benchmark.statistics import LEAST_RUNS, Floats
 
 __all__ = ["Difference", "choose_holm_levels", "compare_signs", "compare_strata", "compute_median_interval",
            "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
-           "correct_by_benjamini_hochberg", "cut_signs", "find_lasting", "find_visible_difference",
-           "find_visible_shift", "list_subset_means", "tell_power"]
+           "correct_by_benjamini_hochberg", "cut_signs", "find_lasting", "list_subset_means"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
@@ -229,85 +228,6 @@ def compute_slope(x: ArrayLike, y: ArrayLike, start: float, end: float) -> float
     away = at[chosen] - at[chosen].mean() if chosen.any() else np.zeros(0)
     spread = float(np.sum(away**2))
     return float(np.sum(away * values[chosen]) / spread) if spread > 0 else 0.0
-
-
-def find_visible_difference(differences: Sequence[NDArray[np.float64]], alpha: float, power: float = 0.8) -> float:
-    """Smallest true mean difference that the paired t test of `compare_pairs` sees with this probability.
-
-    Args:
-        differences: (seeds,) a room, whose spread is taken as known.
-        alpha: level of the two-sided test; its share of a family's, where it is one of several.
-        power: probability of a p-value below alpha, by the noncentral t distribution.
-
-    Returns:
-        The difference; 0 where the differences of every room are equal.
-    """
-    errors = np.array([room.var(ddof=1) / len(room) for room in differences])
-    spread = float(np.sqrt(errors.sum())) / len(errors)
-    if spread <= 1e-12:
-        return 0.0
-    freedom = errors.sum() ** 2 / sum(error**2 / (len(room) - 1)
-                                      for error, room in zip(errors, differences, strict=True))
-    edge = float(stats.t.ppf(1 - alpha / 2, freedom))
-    distance = special.nctdtrinc(freedom, 1 - power, edge)  # the far side of the test counts for nothing here
-    return float(distance) * spread
-
-
-def find_visible_shift(differences: ArrayLike, alpha: float, power: float = 0.8, draws: int = 400) -> float:
-    """Smallest true mean that the test by flipped signs sees with this probability, by simulated studies.
-
-    A study draws its differences from these ones about their mean, each with either sign, and adds the true mean.
-
-    Args:
-        differences: (n,), finite.
-        alpha: level of the two-sided test; its share of a family's, where it is one of several.
-        power: share of the studies that see it.
-        draws: simulated studies.
-
-    Returns:
-        The mean; 0 where all differences are equal, infinite where n is too small for any p-value below alpha.
-    """
-    values = np.asarray(differences, dtype=np.float64)
-    residuals = values - values.mean()
-    signs, count, spread = _list_signs(len(values)), len(values), float(residuals.std())
-    if 2 / len(signs) > alpha:
-        return np.inf
-    if spread <= 1e-12:
-        return 0.0
-    rng = np.random.default_rng(2019)
-    made = rng.choice(residuals, (draws, count)) * rng.choice([-1.0, 1.0], (draws, count))
-
-    def sees(mean: float) -> bool:
-        sums = (made + mean) @ signs.T
-        p = 2 * np.minimum(np.mean(sums >= sums[:, :1] - 1e-9, axis=1), np.mean(sums <= sums[:, :1] + 1e-9, axis=1))
-        return float(np.mean(p <= alpha)) >= power
-
-    low, high = 0.0, spread
-    while not sees(high):
-        low, high = high, 2 * high
-    for _ in range(8):
-        middle = (low + high) / 2
-        low, high = (low, middle) if sees(middle) else (middle, high)
-    return high
-
-
-def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) -> str:
-    """A sentence: what a study of this size sees in 80 % of cases; empty where nothing that varies was compared.
-
-    Args:
-        sizes: smallest visible difference of each comparison; 0 where runs do not vary, infinite where none is visible.
-        what: of a difference, such as `a gain of`.
-        tell: of a size.
-    """
-    known = sorted(size for size in sizes if size > 0)
-    if not known:
-        return ""
-    if np.isinf(known[-1]):
-        lost = sum(map(np.isinf, known))
-        return f"In {lost} of {len(known)} of these comparisons there were too few runs to see any difference."
-    middle = float(np.median(known))
-    return (f"A study of this size has 80 % power to detect {what} {tell(middle)} in half of these comparisons, and of "
-            f"{tell(known[-1])} in all.")
 
 
 def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[float]:

@@ -1,10 +1,9 @@
-"""A study: a folder with its grid as data, its analysis, the words of its page and the results of its runs.
+"""A study: a folder with its grid as data, its analysis and the results of its runs.
 
 | file | holds |
 |---|---|
-| `study.toml` | `about`, a line; `comparisons` by name or `[[grid]]` tables; whatever else the analysis reads |
-| `analysis.py` | `analyse(study, lines)`, which makes a `Page`; `Args`, `LINES`, `collect`, `measure` if not default |
-| `page.md.j2` | the page's words, around the values of the analysis |
+| `study.toml` | `about`, a line; `comparisons` by name or `[[grid]]` tables; other settings of the analysis |
+| `analysis.py` | `analyse(study, lines)`, which returns `Findings`; other than default `Args`, `LINES`, `measure` |
 | `raw.jsonl` | a line a run, see `Store` |
 """
 
@@ -13,41 +12,38 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
-
-from matplotlib.figure import Figure
 
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.benchmark.presets import get_grid
 from hrl_escape.errors import FileReadError, UnknownNameError
 from hrl_escape.files import read_toml
+from studies.figures import Drawing
 
-__all__ = ["ROOT", "Page", "Study", "find_study", "list_studies"]
+__all__ = ["ROOT", "Findings", "Study", "find_study", "list_studies"]
 
 ROOT = Path(__file__).parent
 """Folder of all studies."""
 DEFINITION = "study.toml"
 
 
-class Page(NamedTuple):
-    """Findings of an analysis, for the template, the figures and the command.
+class Findings(NamedTuple):
+    """Result of an analysis, for pages, tests and the command.
 
     Attributes:
-        values: names in the template -> their values.
-        figures: name -> figure; without ending it is drawn as SVG.
-        conclusions: sentences that the command prints.
-        files: name -> text, written beside the figures.
+        numbers: fields of pages, which their rules read too.
+        tables: name -> Markdown; the names differ from those of other studies of a page.
+        figures: name -> function that draws it for a theme.
     """
 
-    values: Mapping[str, Any]
-    figures: Mapping[str, Figure] = {}
-    conclusions: Sequence[str] = ()
-    files: Mapping[str, str] = {}
+    numbers: SimpleNamespace
+    tables: Mapping[str, str]
+    figures: Mapping[str, Drawing] = {}
 
 
 @dataclass(frozen=True)
@@ -66,11 +62,6 @@ class Study:
     def name(self) -> str:
         """The folder's, with hyphens; that of the command."""
         return _name(self.folder)
-
-    @property
-    def page(self) -> str:
-        """Name of its page without ending, by default its own."""
-        return self.data.get("page", self.name)
 
     @property
     def command(self) -> str:

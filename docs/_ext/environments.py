@@ -208,7 +208,7 @@ class Environment(Picture):
                 ("agent", "success rate", "primitives of an escape (median)"),
                 [(AgentSpec.parse(score.agent).title, score.success_rate, score.median) for score in scores])]
             parts.append("Five evaluation episodes per run over options. R-MAX has two runs of 20,000 primitives "
-                         "([the study](../results/gallery.md))." if has_study(preset) else
+                         "([the study](../puzzles.md#scores-of-a-few-agents))." if has_study(preset) else
                          f"{EPISODES} episodes over options, run during the build of this page.")
         parts += [make_heading("Version history"), make_table(("id", "release", "change"), list_versions(preset))]
         return "\n\n".join(parts)

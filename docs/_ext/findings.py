@@ -36,16 +36,13 @@ class Finding(NamedTuple):
 
 
 def read_finding(page: str) -> Finding:
-    """Read a page, and what it includes.
+    """Read a page.
 
     Raises:
         ValueError: it states no finding.
     """
     text = (RESULTS / f"{page}.md").read_text(encoding="utf-8")
     title = text.partition("\n")[0].removeprefix("# ")
-    if included := re.search(r"\{include\} (\S+)\n:start-after: (.+)\n:end-before: (.+)\n", text):
-        whole = (RESULTS / included[1]).read_text(encoding="utf-8")
-        text = whole.partition(included[2])[2].partition(included[3])[0]
     bold = [found for found in re.findall(r"\*\*(.+?)\*\*", text) if len(found) >= FEWEST_LETTERS]
     if not bold:
         raise ValueError(f"docs/results/{page}.md states no finding in bold")
@@ -60,16 +57,17 @@ def write_card(finding: Finding) -> str:
 
 
 class Findings(SphinxDirective):
-    """`{findings}`: a card for each page that the content names, which must be all."""
+    """`{findings}`: a card for each page that the content names. The index has to name every page once."""
 
     has_content = True
 
     def run(self) -> list[nodes.Node]:
         """Read the pages and make their cards."""
-        pages = list(self.content)
-        if set(pages) != (found := {path.stem for path in RESULTS.glob("*.md")} - {"index"}):
-            raise self.error(f"pages of results: {sorted(found)}, named are {pages}")
-        cards = "\n".join(write_card(read_finding(page)) for page in pages)
+        index = (RESULTS / "index.md").read_text(encoding="utf-8")
+        named = [page for block in re.findall(r"```\{findings\}\n(.*?)```", index, re.DOTALL) for page in block.split()]
+        if sorted(named) != (found := sorted({path.stem for path in RESULTS.glob("*.md")} - {"index"})):
+            raise self.error(f"pages of results: {found}, named are {sorted(named)}")
+        cards = "\n".join(write_card(read_finding(page)) for page in self.content)
         return self.parse_text_to_nodes(f"::::{{container}} findings\n{cards}\n::::\n")
 
 

@@ -54,8 +54,8 @@ for agent, env in (("option-keyboard", HierarchyEnv(easy, kind="events", low_lev
     returns = [round(evaluation.mean_return) for evaluation in result.evaluations]
     print(f"{agent}: first escape after {result.first_escape} primitives, greedy returns {returns}")
 
-# One seed shows how to run this, not which agent is better. The [comparison of all agents](../results/canon.md) has
-# more. Last, both spaces in one picture.
+# One seed shows how to run this, not which agent is better. [All algorithms](../results/all-algorithms.md) are compared
+# in many rooms. Last, both spaces in one picture.
 
 figure = get_figure_class()(figsize=(7.6, 3.9), layout="constrained")
 panels = figure.subplots(1, 2)

@@ -7,35 +7,40 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
-from hrl_escape.benchmark.inference import ALPHA, compare_pairs, correct_by_holm
 from hrl_escape.benchmark.launching.local import get_fork_server
 from hrl_escape.benchmark.protocols import get_budget
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.names import count_nouns, join_words
 from hrl_escape.sets.benchmark import load_benchmark
-from studies.baseline import BaselineRun
-from studies.ladder.analysis import draw, group_runs, subtract, tabulate, tell_bar, tell_beyond_searching
-from studies.ladder.calibration import KNOWN
+from studies.baseline import BaselineRun, compute_run_efficiency
+from studies.ladder.analysis import (
+    compare_with_search,
+    draw_rungs,
+    group_runs,
+    subtract,
+    tabulate,
+    tabulate_beyond,
+    tabulate_labels,
+)
+from studies.ladder.calibration import KNOWN, Cells
 from studies.running import StudyArgs, open_store
-from studies.statistics import choose_holm_levels
+from studies.statistics import Difference, compare_strata
 from studies.store import Store
-from studies.study import Page, Study, find_study
+from studies.study import Findings, Study, find_study
 from studies.unseen import UnseenRooms, make_unseen, play_unseen, stream_rooms, train_agent
 
-__all__ = ["Args", "analyse", "measure", "run_once", "tell_budget"]
+__all__ = ["Args", "analyse", "compare_budgets", "measure", "run_once"]
 
 LINES = (BaselineRun,)
 PROTOCOL = "per-instance"
 Job: TypeAlias = tuple[str, int, str, int]
 """Rung, number of the room, agent, and training seed."""
-Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
-"""Runs by rung and agent."""
 
 
 @dataclass(frozen=True)
@@ -122,42 +127,30 @@ def identify(data: Mapping[str, Any], rung: str, number: int, agent: str, seed: 
     return (PROTOCOL, rung, f"{data['benchmark']}/{rung}/test#{number}", agent, seed, primitives), key
 
 
-def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
-    """Sentences, the table and the figure of lines, beside those of the ladder's own study in the same rooms."""
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
+    """Comparisons with the best search baseline and with smaller budgets; references are those of the ladder study."""
     rungs = [rung for rung in study.data["rungs"] if any(line.rung == rung for line in lines)]
     known = [line for line in open_store(find_study("ladder"), None).load() if isinstance(line, BaselineRun)
              and line.protocol == PROTOCOL and line.rung in rungs and line.primitives < get_budget(line.rung)
              and (line.agent == KNOWN or AgentSpec.parse(line.agent).chooses_options)]
     lines = [line for line in lines if line.primitives == get_budget(line.rung)]
     cells = group_runs([*(line for line in known if not line.primitives), *lines])
-    headline = tell_beyond_searching(cells, rungs)
-    return Page({"headline": headline, "budget": tell_budget(cells, group_runs(known), rungs),
-                 "advice": tell_bar(cells, rungs), "table": tabulate(cells, rungs), "count": len(lines),
-                 "run": rungs, "missing": [rung for rung in study.data["rungs"] if rung not in rungs],
-                 "seeds": sorted({len({line.seed for line in runs}) for (_, agent), runs in cells.items()
-                                  if agent in study.data["agents"]}), **study.data},
-                {"budgets": draw(cells, rungs)}, [headline])
+    beyond = compare_with_search(cells, rungs)
+    return Findings(SimpleNamespace(
+        runs=len(lines), rungs=rungs, beyond=beyond, more=compare_budgets(cells, group_runs(known), rungs),
+        means={agent: {rung: compute_run_efficiency(cells[rung, agent]) for rung in rungs if (rung, agent) in cells}
+               for agent in study.data["agents"]},
+        seeds=max((len({line.seed for line in runs}) for (_, agent), runs in cells.items()
+                   if agent in study.data["agents"]), default=0),
+        copies=study.data["copies"], episodes=study.data["episodes"]), {
+            "budgets": tabulate(cells, rungs), "budgets_labels": tabulate_labels(cells),
+            "budgets_beyond": tabulate_beyond(beyond)},
+        {"budgets": partial(draw_rungs, cells, rungs, list(study.data["agents"]))})
 
 
-def tell_budget(cells: Cells, former: Cells, rungs: Sequence[str]) -> str:
-    """A sentence: what learners gain over the same ones with fewer primitives, in the same rooms, rungs as strata.
-
-    All learners are one family (Holm). Empty where none was run with fewer.
-    """
+def compare_budgets(cells: Cells, former: Cells, rungs: Sequence[str]) -> dict[str, Difference]:
+    """Gain of learners over the same ones with fewer primitives, in the same rooms, with rungs as strata (Holm)."""
     gains = {agent: found for agent in dict.fromkeys(agent for _, agent in cells) if (found := [
         gain for rung in rungs if any(run.primitives for run in former.get((rung, agent), ()))
         and len(gain := subtract(cells.get((rung, agent), ()), former[rung, agent])) >= LEAST_RUNS])}
-    if not gains:
-        return ""
-    raw = [compare_pairs(own).p for own in gains.values()]
-    said = []
-    for (agent, own), p, level in zip(gains.items(), correct_by_holm(raw), choose_holm_levels(raw), strict=True):
-        test = compare_pairs(own, level)
-        change, low, high = test.difference, test.low, test.high
-        verb = "is not shown to gain or lose," if p >= ALPHA else "gains" if change > 0 else "loses"
-        if p < ALPHA and change < 0:
-            change, low, high = -change, -high, -low
-        said.append(f"`{agent}` {verb} {change:.2f} ({low:.2f} to {high:.2f}, over {count_nouns(len(own), 'rung')})")
-    budgets = sorted({run.primitives for (_, agent), runs in former.items() if agent in gains for run in runs})
-    return (f"Beside the same learner with {join_words(f'{budget:,}' for budget in budgets)} primitives in one copy of "
-            f"the room, so that budget and copies both differ, {join_words(said)}.")
+    return dict(zip(gains, compare_strata(list(gains.values())), strict=True))

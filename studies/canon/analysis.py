@@ -1,20 +1,19 @@
-"""The table of the canon: every algorithm on the same rooms, held against the best searcher and its flat control."""
+"""Every algorithm on the same rooms: comparisons with the best search baseline and with flat controls."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import time
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
@@ -23,26 +22,24 @@ from hrl_escape.benchmark.grid import Grid, GridRun
 from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from hrl_escape.names import count_nouns, join_words
+from hrl_escape.names import count_nouns
 from hrl_escape.sets.room_spec import RoomSpec
 from studies.controls import chooses_presses
-from studies.figures import FIGURE_STYLE
-from studies.page import make_table
+from studies.figures import Theme, make_figure, write_label
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
 from studies.statistics import Difference, compare_strata, find_lasting
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "advise", "analyse", "choose_candidate",
-           "compare", "list_families", "measure", "shorten", "tell_beyond", "tell_families", "tell_given",
-           "tell_leads", "tell_lost", "tell_standing", "tell_controls"]
+__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "analyse", "choose_candidate", "compare",
+           "list_families", "measure"]
 
-NAMED = 3
-"""Agents that a sentence names at most; tables name all."""
+FLAT_FAMILIES = ("planned presses", "structure learned over presses", "task hierarchies, planned low level")
+HIERARCHIES = ("options learned over presses", "goals over presses")
 REFERENCE_EPISODES = 20
-"""Episodes of those that learn nothing, some of which are random."""
+"""Episodes of agents that do not learn, some of which are random."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +76,7 @@ class CanonRun:
         progress: mean share of the facts on the way to the goal that hold.
         first_escape: primitives to the first escape in training; None if there was none.
         efficient_at: primitives at the first of two evaluations in a row that are efficient; None without such a pair.
-        seconds: of training, beside another run.
+        seconds: of training, with another run on the machine.
         key: hash of everything that decides the run's numbers.
     """
 
@@ -119,7 +116,7 @@ class Family(NamedTuple):
         what: plural noun.
         trials: validation rooms.
         learners: label -> the settings that are tried.
-        given: what it is told of the room's puzzle and the searchers have to find; empty for nothing.
+        given: what it is given of the room's puzzle and search baselines have to find; empty for nothing.
     """
 
     name: str
@@ -145,7 +142,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         UnknownNameError: no such kind or agent.
     """
     data, until = study.data, time.monotonic() + 60 * args.minutes
-    references = [*data["chance"], *data["searchers"], *data["told"]]
+    references = [*data["chance"], *data["search"], *data["privileged"]]
     known = [*references, *(label for family in list_families(study) for label in family.learners)]
     for what, chosen, every in (("agent", args.agents, known), ("kind", args.kinds, list(data["kinds"]))):
         if unknown := [name for name in chosen if name not in every]:
@@ -314,155 +311,7 @@ def average(runs: Mapping[str, CanonRun]) -> float:
     return float(np.mean([run.efficiency for run in runs.values()]))
 
 
-def average_alike(runs: Mapping[str, Mapping[str, CanonRun]]) -> dict[str, float]:
-    """Mean efficiency of each agent over the rooms that all of them have, from its runs by room."""
-    rooms = set.intersection(*(set(own) for own in runs.values()))
-    return {agent: average({room: own[room] for room in rooms}) for agent, own in runs.items()}
-
-
-# --- sentences -------------------------------------------------------------------------------
-
-
-def tell_beyond(beyond: Sequence[Contrast], kinds: int) -> str:
-    """The finding: which learners that are given nothing reach more than the best searcher."""
-    over = f"over {count_nouns(kinds, 'kind')} of rooms"
-    if not beyond:
-        return f"Nothing is concluded, as no learner has {LEAST_RUNS} rooms beside a searcher's in every kind."
-    better = [each for each in beyond if each.found.sign > 0]
-    below = sum(each.found.sign < 0 for each in beyond)
-    rest = "none is shown to reach less"
-    if below:
-        rest = f"{below} of {len(beyond)} {'reaches' if below == 1 else 'reach'} less"
-    if not better:
-        return f"No learner is shown to beat the best searcher, which learns nothing, {over}; {rest}."
-    return (f"{len(better)} of {len(beyond)} learners {'beats' if len(better) == 1 else 'beat'} the best searcher, "
-            f"which learns nothing, {over}{_name_most(better)}; {rest}.")
-
-
-def tell_families(best: Mapping[str, tuple[str, float]], searcher: float) -> str:
-    """A sentence: the best learner of each family, in order, and where the best searcher stands among them.
-
-    Args:
-        best: family in words -> its best learner, and its mean difference from the best searcher in the same rooms.
-        searcher: mean efficiency of the best searcher.
-    """
-    ordered = sorted(best.items(), key=lambda item: -item[1][1])
-
-    def tell(kept: Sequence[tuple[str, tuple[str, float]]]) -> str:
-        return join_words(f"{what} (`{agent}` {gain:+.2f})" for what, (agent, gain) in kept)
-
-    above = [item for item in ordered if item[1][1] > 0]
-    under = [item for item in ordered if item[1][1] <= 0]
-    parts = [f"above the best searcher ({searcher:.2f}) come {tell(above)}"] if above else []
-    if under:
-        parts.append(f"{'below it' if above else f'below the best searcher ({searcher:.2f})'} stay {tell(under)}")
-    return f"By the best of each family, {'; '.join(parts)}."
-
-
-def tell_controls(contrasts: Sequence[Contrast]) -> str:
-    """A sentence: which hierarchies gain or lose against the flat learner that chooses among the same things."""
-    if not contrasts:
-        return "No hierarchy has a control with enough rooms in every kind."
-    better, worse = ([each for each in contrasts if each.found.sign == sign] for sign in (1, -1))
-    level = len(contrasts) - len(better) - len(worse)
-    parts = [f"{_agree(len(better), 'gain')}{_name_most(better)}"] if better else ["none gains"]
-    if worse:
-        parts.append(f"{_agree(len(worse), 'lose')}{_name_most(worse)}")
-    if level:
-        parts.append(f"{level} cannot be told apart")
-    return (f"Of {len(contrasts)} hierarchies held against the flat learner that chooses among the same presses, "
-            f"{'; '.join(parts)}.")
-
-
-def _agree(count: int, verb: str) -> str:
-    return f"{count} {verb}{'s' if count == 1 else ''}"
-
-
-def _name_most(contrasts: Sequence[Contrast]) -> str:
-    """The agents of contrasts, the largest differences first and no more than `NAMED`, to follow their number."""
-    ordered = sorted(contrasts, key=lambda each: -abs(each.found.mean))
-    names = join_words(f"`{each.agent}` ({each.found.mean:+.2f})" for each in ordered[:NAMED])
-    return f": {names}" if len(ordered) <= NAMED else f", most of all {names}"
-
-
-def tell_leads(means: Mapping[str, Mapping[str, float]]) -> str:
-    """A sentence: who leads in which kind of rooms; means that are equal to two digits share a lead.
-
-    Args:
-        means: kind in words -> learner -> mean efficiency.
-    """
-    leads = {kind: {agent for agent, mean in found.items() if round(mean, 2) == round(max(found.values()), 2)}
-             for kind, found in means.items()}
-    everywhere = set.intersection(*leads.values())
-    if everywhere:
-        first = min(everywhere)
-        return (f"One learner leads in every kind of rooms: `{first}`." if len(everywhere) == 1 else
-                f"{len(everywhere)} learners share the lead in every kind of rooms, `{first}` among them.")
-    told = [f"{_name_leaders(agents)} with {kind}" for kind, agents in leads.items()]
-    return f"No one learner leads everywhere (by means to two digits, not tested): {'; '.join(told)}."
-
-
-def _name_leaders(agents: Set[str]) -> str:
-    """Learners that share a lead, or their number where they are more than `NAMED`."""
-    names = [f"`{agent}`" for agent in sorted(agents)]
-    if len(names) == 1:
-        return f"{names[0]} leads"
-    return f"{join_words(names) if len(names) <= NAMED else count_nouns(len(names), 'learner')} tie"
-
-
-def tell_lost(moves: int, lost: Sequence[str], others: Sequence[str], kind: str, budget: int) -> str:
-    """A sentence: how many learners end without any escape in the easiest kind of rooms, and are not followed.
-
-    Args:
-        moves: number of learners that choose single moves.
-        lost: those of them that never escape at the end.
-        others: of learners over presses those that do not.
-        kind: in words.
-        budget: primitives.
-    """
-    names = join_words(f"`{each}`" for each in others)
-    if not lost:
-        over = f"; over presses {names} never does" if others else ""
-        return f"Every one of {moves} learners of single moves ends with some escape in rooms with {kind}{over}."
-    over = f"; over presses {names} as well" if others else ""
-    return (f"Of {moves} learners of single moves {_agree(len(lost), 'end')} without an escape in every room with "
-            f"{kind} after {budget:,} primitives, hierarchies or not{over}. None of these was run in other rooms.")
-
-
-def tell_given(contrasts: Sequence[Contrast], given: str) -> str:
-    """A sentence: what being told of the puzzle brings, beside the searchers that have to find it.
-
-    Args:
-        contrasts: with the best searcher, of those that are told; one at least.
-        given: what they are told.
-    """
-    better = [each for each in contrasts if each.found.sign > 0]
-    if not better:
-        return f"Even told {given}, no hierarchy is shown to beat the best searcher."
-    return (f"Told {given}, which searchers have to find, {len(better)} of {len(contrasts)} hierarchies "
-            f"{'beats' if len(better) == 1 else 'beat'} the best of them (by up to "
-            f"{max(each.found.mean for each in better):.2f}).")
-
-
-def advise(beyond: Sequence[Contrast], searcher: str) -> str:
-    """Advice that follows from the finding."""
-    better = sorted((each for each in beyond if each.found.sign > 0), key=lambda each: -each.found.mean)
-    if better:
-        rest = len(beyond) - len(better)
-        return (f"Begin with `{better[0].agent}` where a planner can press for you and the room stays the same, and "
-                f"report a searcher beside your learner: {rest} of {len(beyond)} here are not shown to beat it.")
-    return f"Report `{searcher}` beside your learner: nothing here is shown to beat it."
-
-
 # --- page ------------------------------------------------------------------------------------
-
-
-def analyse(study: Study, lines: Sequence[CanonRun]) -> Page:
-    """Sentences, tables and the figure, of the kinds in which every agent was run that is still followed."""
-    found = Standing.read(study, lines)
-    values = tell_standing(found)
-    figures = {"canon": draw(found)} if found.kinds else {}
-    return Page(values, figures, [values["headline"], *values.get("sentences", ())])
 
 
 @dataclasses.dataclass(frozen=True)
@@ -503,7 +352,7 @@ class Standing:
     @cached_property
     def references(self) -> list[str]:
         """Agents that learn nothing."""
-        return [*self.study.data["chance"], *self.study.data["searchers"], *self.study.data["told"]]
+        return [*self.study.data["chance"], *self.study.data["search"], *self.study.data["privileged"]]
 
     @cached_property
     def learners(self) -> list[str]:
@@ -522,11 +371,11 @@ class Standing:
 
     @cached_property
     def best(self) -> dict[str, str]:
-        """The searcher that is most efficient in each kind."""
-        return find_best(self.study.data["searchers"], self.cells, self.kinds)
+        """The most efficient search baseline of each kind."""
+        return find_best(self.study.data["search"], self.cells, self.kinds)
 
     @cached_property
-    def searcher(self) -> float:
+    def search(self) -> float:
         """Its mean efficiency over the kinds."""
         return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
 
@@ -536,72 +385,80 @@ class Standing:
         return float(np.mean([average(self.cells[kind, label]) for kind in own]))
 
 
-def tell_standing(found: Standing) -> dict[str, Any]:
-    """Values of the page's template."""
-    study, cells, kinds, words = found.study, found.cells, found.kinds, found.words
-    data = study.data
-    easiest = words[next(iter(words))]
+def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
+    """Comparisons with the search baseline and with flat controls, tables and figures.
+
+    Of the kinds of rooms in which every agent was run that is still followed.
+
+    Raises:
+        ComparisonError: the first kind lacks runs.
+    """
+    found = Standing.read(study, lines)
+    cells, kinds, words, data = found.cells, found.kinds, found.words, study.data
     if not kinds:
-        return {"headline": f"Nothing is concluded yet, as the rooms with {easiest} lack runs: of every agent there "
-                            f"must be {LEAST_RUNS}.", "kinds": []}
+        raise ComparisonError(f"rooms of {next(iter(words))} lack runs: {LEAST_RUNS} of every agent are needed")
+    given = {label for family in found.families if family.given for label in family.learners}
+    bars = {label: {kind: best for kind, best in found.best.items() if fits(study, label, kind)}
+            for label in found.followed}
+    against, given_graph = (compare([(label, "search", bar) for label, bar in bars.items()
+                                     if (label in given) == is_given], cells) for is_given in (False, True))
     flat: Mapping[str, str] = data["controls"]
-    given = {label: family.given for family in found.families if family.given for label in family.learners}
-    against, told = (compare([
-        (label, "the best searcher", {kind: each for kind, each in found.best.items() if fits(study, label, kind)})
-        for label in found.followed if (label in given) == is_given], cells) for is_given in (False, True))
     controls = compare([(label, control, dict.fromkeys(kinds, control)) for label, control in flat.items()
                         if label not in given], cells)
-    differences = {each.agent: each for each in [*against, *told]}
-    tops = {family.what: max(((label, differences[label].found.mean) for label in own), key=lambda item: item[1])
-            for family in found.families if (own := [
-                label for label in family.learners
-                if label in differences and all(fits(study, label, kind) for kind in kinds)])}
+    beyond = {each.agent: each.found for each in [*against, *given_graph]}
     moves = [label for label in found.learners if not chooses_presses(AgentSpec.parse(label))]
-    sentences = [
-        tell_families(tops, found.searcher), tell_controls(controls),
-        tell_leads({words[kind]: average_alike({label: cells[kind, label] for label in found.followed
-                                                if label not in given and fits(study, label, kind)})
-                    for kind in kinds}),
-        tell_lost(len(moves), [label for label in moves if label in found.lost],
-                  [label for label in found.learners if label in found.lost and label not in moves], easiest,
-                  data["primitives"]),
-        *(tell_given(own, what) for what in dict.fromkeys(given.values())
-          if (own := [each for each in told if given[each.agent] == what]))]
-    tables = [(family.name, family.given, make_table(
-        ["learner", *(words[kind] for kind in kinds), "over the best searcher"],
-        [[f"`{label}`", *(tell_cell(found, kind, label) for kind in kinds), tell_difference(differences.get(label))]
-         for label in family.learners])) for family in found.families]
-    bars = make_table(["without learning", *(words[kind] for kind in kinds)], [
-        [f"`{label}`", *(tell_cell(found, kind, label) for kind in kinds)] for label in found.references])
-    courses = make_table(
-        ["learner", "settings", "progress", "escapes", "first escape", f"efficiency of {data['efficient']:g}",
-         "seconds"],
-        [list(tell_course(family, label, found)) for family in found.families for label in family.learners])
-    return {
-        "headline": tell_beyond(against, len(kinds)), "sentences": sentences,
-        "advice": advise(against, found.best[kinds[-1]]), "tables": tables, "bars": bars, "courses": courses,
-        "controls": [f"`{each.agent}` against `{each.other}`: {tell_difference(each)}" for each in controls],
-        "kinds": [f"{words[kind]} (`{kind}`)" for kind in kinds],
-        "left_out": [f"{words[kind]} (`{kind}`)" for kind in words if kind not in kinds],
-        "unfit": tell_unfit(found),
-        "rooms": sorted(set(found.rooms.values())),
-        "searchers": data["searchers"], "budget": data["primitives"], "efficient": data["efficient"],
-        "learners": len(found.learners), "episodes": REFERENCE_EPISODES,
-        "trials": [words[room.rpartition("/")[0]]
-                   for room in max((family.trials for family in found.families), key=len)],
-    }
+    numbers = SimpleNamespace(
+        budget=data["primitives"], kinds=[words[kind] for kind in kinds], rooms=max(found.rooms.values()),
+        learners=len(found.learners), episodes=REFERENCE_EPISODES, search=found.search,
+        beyond={each.agent: each.found for each in against}, given={each.agent: each.found for each in given_graph},
+        controls={each.agent: each.found for each in controls},
+        means={label: {kind: average(cells[kind, label]) for kind in kinds if cells.get((kind, label))}
+               for label in [*found.references, *found.learners]},
+        moves=len(moves), lost_moves=sum(label in found.lost for label in moves),
+        most_of_moves=max(average(cells[kind, label]) for kind in kinds for label in moves if cells.get((kind, label))))
+    columns = [words[kind] for kind in kinds]
+    tables = [f"**{family.name.capitalize()}**{f' (given {family.given})' * bool(family.given)}\n\n" + make_table(
+        ["learner", *columns, "against the best search baseline"],
+        [[name_learner(label), *(describe_cell(found, kind, label) for kind in kinds),
+          describe_difference(beyond.get(label))] for label in family.learners]) for family in found.families]
+    return Findings(numbers, {
+        "canon": "\n\n".join(tables),
+        "canon_references": make_table(["agent", *columns], [
+            [name_learner(label), *(describe_cell(found, kind, label) for kind in kinds)]
+            for label in found.references]),
+        "canon_controls": make_table(["learner", "flat control", "difference in efficiency"], [
+            [name_learner(each.agent), name_learner(each.other), describe_difference(each.found)]
+            for each in controls]),
+        "canon_kinds": make_table(["kind", "rooms"], [[words[kind], f"`{kind}/test#0..{found.rooms[kind]}`"]
+                                                      for kind in kinds]),
+        "canon_unfit": make_table(["not run", "in", "because"], list_unfit(found)),
+        "canon_courses": make_table(
+            ["learner", "label", "settings", "progress", "success rate", "first escape",
+             f"efficiency of {data['efficient']:g}", "seconds"],
+            [list(describe_course(family, label, found)) for family in found.families for label in family.learners]),
+    }, {"canon": partial(draw_controls, controls),
+        "canon-flat": partial(draw_means, found, FLAT_FAMILIES),
+        "canon-hierarchies": partial(draw_means, found, HIERARCHIES)})
 
 
-def tell_unfit(found: Standing) -> list[str]:
-    """Learners that were not run in some kinds and why; those that share both stand together."""
-    alike: dict[tuple[str, str], list[str]] = {}
-    for label, unfit in found.study.data["unfit"].items():
-        if out := [found.words[kind] for kind in found.kinds if not fits(found.study, label, kind)]:
-            alike.setdefault((join_words(out), unfit["why"]), []).append(f"`{label}`")
-    return [f"{join_words(labels)} with {out}, as {why}" for (out, why), labels in alike.items()]
+def name_learner(label: str) -> str:
+    """Display name of a learner; that of task hierarchies names their low level."""
+    return AgentSpec.parse(label).title
 
 
-def tell_cell(found: Standing, kind: str, label: str) -> str:
+def shorten(label: str) -> str:
+    """Display name without the part that all learners of a figure share."""
+    name = name_learner(label).replace(" over options", "").replace(", with a planned low level", ", task hierarchy")
+    return name.replace(", table settings", "")
+
+
+def list_unfit(found: Standing) -> list[list[str]]:
+    """Learners that were not run in some kinds, these kinds and the reason."""
+    return [[name_learner(label), ", ".join(out), unfit["why"]] for label, unfit in found.study.data["unfit"].items()
+            if (out := [found.words[kind] for kind in found.kinds if not fits(found.study, label, kind)])]
+
+
+def describe_cell(found: Standing, kind: str, label: str) -> str:
     """Mean efficiency in a kind of rooms, and in how many of them where others were run in more."""
     runs = found.cells.get((kind, label))
     if not runs:
@@ -609,21 +466,20 @@ def tell_cell(found: Standing, kind: str, label: str) -> str:
     return f"{average(runs):.2f}" + (f" ({len(runs)})" if len(runs) < found.rooms[kind] else "")
 
 
-def tell_difference(contrast: Contrast | None) -> str:
-    """A difference with its interval; bold where it is shown."""
-    if contrast is None:
+def describe_difference(found: Difference | None) -> str:
+    """A difference with its interval; bold where it is significant."""
+    if found is None:
         return ""
-    found = contrast.found
     text = f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
     return f"**{text}**" if found.sign else text
 
 
-def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:
+def describe_course(family: Family, label: str, found: Standing) -> Iterator[str]:
     """A row on how a learner came to its end: settings, progress, escapes, waits, seconds."""
     number = choose_candidate(family, label, found.lines)[1]
     runs = [run for kind in found.kinds for run in found.cells.get((kind, label), {}).values()]
     settings = " ".join(f"{name}={value}" for name, value in family.learners[label][number - 1].items())
-    yield from (f"`{label}`", f"`{settings}`" if settings else "defaults",
+    yield from (name_learner(label), f"`{label}`", f"`{settings}`" if settings else "defaults",
                 f"{np.mean([run.progress for run in runs]):.2f}", f"{np.mean([run.escapes for run in runs]):.0%}")
     for name in ("first_escape", "efficient_at"):
         waits = sorted(math.inf if (at := getattr(run, name)) is None else at for run in runs)
@@ -632,49 +488,36 @@ def tell_course(family: Family, label: str, found: Standing) -> Iterator[str]:
     yield f"{np.mean([run.seconds for run in runs]):.1f}"
 
 
-def shorten(labels: Sequence[str]) -> dict[str, str]:
-    """Specs without the parts that all of a family share, but where two would be the same."""
-    bare = {label: label.removesuffix("+learned").removesuffix("+planned") for label in labels}
-    counts = Counter(bare.values())
-    return {label: name if counts[name] == 1 else label for label, name in bare.items()}
+def draw_controls(controls: Sequence[Contrast], theme: Theme) -> Figure:
+    """Difference of each hierarchy from its flat control with its interval, the largest at the top."""
+    ordered = sorted(controls, key=lambda each: each.found.mean)
+
+    def paint(axes: Axes) -> None:
+        for row, each in enumerate(ordered):
+            colour = {1: theme.lines[0], -1: theme.lines[2], 0: theme.muted}[each.found.sign]
+            axes.plot([each.found.low, each.found.high], [row, row], color=colour, linewidth=1.8)
+            axes.plot(each.found.mean, row, "o", color=colour, markersize=5)
+        axes.axvline(0, color=theme.ink, linewidth=0.8)
+        axes.set_yticks(range(len(ordered)), [shorten(each.agent) for each in ordered])
+        axes.set(xlabel="difference in efficiency from the flat control", ylim=(-0.6, len(ordered) - 0.4))
+
+    return make_figure(theme, paint, height=5.4, grid="x")
 
 
-def draw(found: Standing) -> Figure:
-    """A row a learner, by family: a dot a room in the colour of its kind, a diamond the mean over kinds.
+def draw_means(found: Standing, families: Sequence[str], theme: Theme) -> Figure:
+    """Mean efficiency of each learner in each kind of rooms (dots) and over all kinds (diamonds)."""
+    shown = [label for family in found.families if family.name in families for label in family.learners
+             if label not in found.lost and all(fits(found.study, label, kind) for kind in found.kinds)]
+    shown.sort(key=found.average)
 
-    The diamond of a learner that is not run in some kinds is open.
-    """
-    cells, kinds, families = found.cells, found.kinds, found.families
-    colours = dict(zip(kinds, [*palette.LINES, palette.MUTED], strict=False))
-    names, rows = shorten(found.learners), found.learners
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(8.4, 0.185 * len(rows) + 0.3 * len(families) + 1.0), facecolor=palette.BACKGROUND,
-                        layout="constrained")
-        panels = figure.subplots(len(families), 1, sharex=True, squeeze=False, height_ratios=[
-            len(family.learners) + 1.2 for family in families]).ravel()
-        for panel, family in zip(panels, families, strict=True):
-            for row, label in enumerate(family.learners):
-                for number, kind in enumerate(kinds):
-                    values = [run.efficiency for run in cells.get((kind, label), {}).values()]
-                    offset = 0.5 * ((number + 0.5) / len(kinds) - 0.5)
-                    panel.plot(values, np.full(len(values), row + offset), ".", markersize=4, alpha=0.45,
-                               markeredgewidth=0, color=colours[kind])
-                if label not in found.lost:
-                    whole = all(fits(found.study, label, kind) for kind in kinds)
-                    panel.plot(found.average(label), row, "D", markersize=5, color=palette.INK,
-                               fillstyle="full" if whole else "none")
-            panel.axvline(found.searcher, color=palette.INK, linestyle="--", linewidth=1)
-            panel.set(ylim=(len(family.learners) - 0.4, -0.6), xlim=(-0.03, 1.05))
-            panel.set_yticks(range(len(family.learners)), [names[label] for label in family.learners])
-            panel.set_title(family.name + (f" (told {family.given})" if family.given else ""), loc="left", fontsize=9,
-                            color=palette.INK)
-            panel.grid(axis="x", color="#e5dfd2", linewidth=0.8)
-            panel.set_axisbelow(True)
-            panel.spines[["top", "right"]].set_visible(False)
-            panel.tick_params(colors=palette.MUTED, labelcolor=palette.INK, labelsize=7)
-        panels[-1].set_xlabel("efficiency; the dashed line is the best searcher, which learns nothing",
-                              color=palette.INK, fontsize=8)
-        handles = [Line2D([], [], marker="o", linestyle="", markersize=4, color=colours[kind],
-                                           label=found.words[kind]) for kind in kinds]
-        figure.legend(handles=handles, loc="outside upper center", ncols=min(4, len(kinds)), frameon=False, fontsize=8)
-    return figure
+    def paint(axes: Axes) -> None:
+        for row, label in enumerate(shown):
+            means = [average(found.cells[kind, label]) for kind in found.kinds]
+            axes.plot(means, [row] * len(means), "o", color=theme.lines[1], markersize=4, alpha=0.5, markeredgewidth=0)
+            axes.plot(found.average(label), row, "D", color=theme.ink, markersize=5)
+        axes.axvline(found.search, color=theme.lines[2], linestyle="--")
+        write_label(axes, found.search + 0.01, -1.2, "search baseline", theme.lines[2], fontsize=9)
+        axes.set_yticks(range(len(shown)), list(map(shorten, shown)))
+        axes.set(xlabel="efficiency after training", xlim=(-0.03, 1.03), ylim=(-1.8, len(shown) - 0.4))
+
+    return make_figure(theme, paint, height=1.1 + 0.23 * len(shown), grid="x")

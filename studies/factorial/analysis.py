@@ -1,46 +1,42 @@
-"""Main effects of the screening designs, their paths, the course of both recipes, and what follows from them."""
+"""Main effects of the screening designs: what makes SARSA and DDPG get worse with options, and fresh runs."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from types import SimpleNamespace
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hrl_escape.benchmark.comparison import run_grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
-from hrl_escape.env.pictures import palette
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.factorial.design import ALGORITHMS, FACTORS, make_factorial_grid, name_factorial
-from studies.factorial.effects import SIGNIFICANT, MainEffect, Screening, mark_gaps
-from studies.factorial.words import (
-    FEWEST_ROOMS,
-    FEWEST_SEEDS,
-    Findings,
-    advise,
-    analyse_screening,
-    conclude,
-    tell_first_look,
-    tell_fresh_runs,
+from studies.factorial.effects import (
+    MainEffect,
+    Screening,
+    compute_effects,
+    mark_gaps,
+    measure_area,
+    measure_change,
+    repeat_effects,
 )
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
+from studies.figures import Theme, make_figure
 from studies.raw import BINS, RawRun, collect_runs
 from studies.running import GridArgs, refuse_failures
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "Args", "analyse", "draw_effects", "measure"]
+__all__ = ["LINES", "Args", "analyse", "measure"]
 
 LINES = (RawRun,)
 FIFTHS = 5
-_COURSES = {"efficiency": ("training_efficiencies", 2), "entropy, nats": ("entropy", 2),
-            "longest repeat, decisions": ("longest_repeat", 0), "greedy choices": ("greedy", 2)}
+_COURSES = {"efficiency": ("training_efficiencies", 2), "entropy of the policy, nats": ("entropy", 2),
+            "longest repeat, decisions": ("longest_repeat", 0)}
 """Quantity -> field of a run, and decimals."""
-_VERDICTS = {True: "yes", False: "no", None: "not shown"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,16 +44,15 @@ class Args(GridArgs):
     """Options of the screening."""
 
     algorithms: tuple[str, ...] = ("sarsa",)
-    """Algorithms to run: sarsa, ddpg. The page tells of all whose results are there."""
+    """Algorithms to run: sarsa, ddpg."""
     rooms: int = 5
     """Number of rooms, drawn from one room configuration."""
     runs: int = 5
-    """Training seeds of each agent in each room; fewer than five conclude nothing."""
+    """Training seeds of each agent in each room."""
     primitives: int = 4_000
     """Training budget of a run."""
     first_seed: int = 0
-    """Lowest training seed and lowest instance of the rooms. Above 0 the page holds the results against the published
-    ones."""
+    """Lowest training seed and lowest instance of the rooms; above 0 the runs are fresh ones."""
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
@@ -74,91 +69,75 @@ def measure(study: Study, args: Args, store: Store) -> None:
         store.add(collect_runs(comparison))
 
 
-def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
-    """Findings by algorithm, tables and figures.
+def analyse(study: Study, lines: Sequence[RawRun]) -> Findings:
+    """Effects of the factors on the slope and the level of training, by algorithm, and of those shown in fresh runs.
 
     Raises:
         ComparisonError: a run of a design is missing.
     """
-    published, again = ({name: Screening.make(name, runs) for name in ALGORITHMS
-                         if (runs := [run for run in lines if run.grid == name_factorial(name, is_fresh)])}
-                        for is_fresh in (False, True))
-    found = {name: analyse_screening(screening) for name, screening in published.items()}
-    said = {name: conclude(findings) for name, findings in found.items()}
-    conclusions = {name: " ".join(sentences) for name, sentences in said.items()}
-    looks = {name: tell_first_look(findings, study.data["first_look"].get(name)) for name, findings in found.items()}
-    return Page({
-        "SIGNIFICANT": SIGNIFICANT, "FEWEST_SEEDS": FEWEST_SEEDS, "FEWEST_ROOMS": FEWEST_ROOMS, "FACTORS": FACTORS,
-        "advice": advise(*next((findings, FACTORS[name]) for name, findings in found.items())),
-        "conclusions": conclusions, "said": said, "first_looks": [look for look in looks.values() if look],
-        "again": {name: (screening, tell_fresh_runs(screening, found[name])) for name, screening in again.items()
-                  if name in found},
-        "found": {name: {
-            "screening": findings.screening, "effects": _tabulate_effects(findings), "paths": _list_paths(findings),
-            "sufficient": {factor: _VERDICTS[verdict] for factor, verdict in findings.sufficient.items()},
-            "course": _tabulate_course(findings.screening),
-        } for name, findings in found.items()},
-        "missing": [name for name in FACTORS if name not in found],
-    }, {f"why-{name}": draw_effects(findings.effects, findings.levels) for name, findings in found.items()},
-        [f"{name}: {told}" for name, told in conclusions.items()])
+    screenings = {name: Screening.make(name, own) for name in ALGORITHMS
+                  if (own := [run for run in lines if run.grid == name_factorial(name)])}
+    fresh = {name: Screening.make(name, own) for name in ALGORITHMS
+             if (own := [run for run in lines if run.grid == name_factorial(name, is_fresh=True)])}
+    if missing := set(ALGORITHMS) - screenings.keys():
+        raise ComparisonError(f"there is no run of {', '.join(sorted(missing))}")
+    slopes = {name: compute_effects(screening, measure_change) for name, screening in screenings.items()}
+    levels = {name: compute_effects(screening, measure_area) for name, screening in screenings.items()}
+    again = {name: repeat_effects(screening, [effect.factor for effect in slopes[name] if effect.is_shown])
+             for name, screening in fresh.items()}
+    first = study.data["first_look"]["sarsa"]
+    looked = compute_effects(dataclasses.replace(screenings["sarsa"], rooms=screenings["sarsa"].rooms[:first]),
+                             measure_change)
+    shown = {effect.factor for effect in slopes["sarsa"] if effect.is_shown}
+    return Findings(
+        SimpleNamespace(slopes={name: {effect.factor: effect for effect in own} for name, own in slopes.items()},
+                        levels={name: {effect.factor: effect for effect in own} for name, own in levels.items()},
+                        again={name: {effect.factor: effect for effect in own} for name, own in again.items()},
+                        course=average_course(screenings["sarsa"]), first=first,
+                        first_p=[effect.p for effect in looked if effect.factor in shown],
+                        rooms={name: len(own.rooms) for name, own in screenings.items()}),
+        {**{f"effects_{name}": make_table(["factor", "on the slope", "p", "on the level"], [
+            [effect.factor, _format(effect), "< 0.001" if effect.p < 0.001 else f"{effect.p:.3f}", _format(level)]
+            for effect, level in zip(slopes[name], levels[name], strict=True)]) for name in slopes},
+         **{f"factors_{name}": make_table(["factor", "2019 settings", "default settings"], [
+             [factor.name, factor.paper, factor.corrected] for factor in FACTORS[name]]) for name in slopes},
+         "fresh": make_table(["factor", "in fresh rooms, on the slope", "p"], [
+             [effect.factor, _format(effect), f"{effect.p:.3f}"] for own in again.values() for effect in own]),
+         "course": make_table(["quantity", "settings", *(f"fifth {number + 1}" for number in range(FIFTHS))], [
+             [title, recipe, *(f"{value:.{_COURSES[title][1]}f}" for value in values)]
+             for (title, recipe), values in average_course(screenings["sarsa"]).items()])},
+        {"why-sarsa": lambda theme: draw_effects(slopes["sarsa"], theme)})
 
 
-def _tabulate_effects(findings: Findings) -> str:
-    rows = [[effect.factor, _tell_interval(effect), "< 0.001" if effect.p < 0.001 else f"{effect.p:.3f}",
-             *(f"{value:+.2f}" for value in effect.rooms), _tell_interval(level)]
-            for effect, level in zip(findings.effects, findings.levels, strict=True)]
-    return make_table(["factor", "on the slope", "p", *findings.screening.rooms, "on the level"], rows)
-
-
-def _tell_interval(effect: MainEffect) -> str:
+def _format(effect: MainEffect) -> str:
     test = effect.test
-    return f"{test.difference:+.3f} ({test.low:+.3f} to {test.high:+.3f})"
+    return f"{test.difference:+.2f} ({test.low:+.2f} to {test.high:+.2f})"
 
 
-def _list_paths(findings: Findings) -> list[list[str]]:
-    return [[path.factor, path.mediator, f"{path.moves:+.3f}", f"{path.slope:+.3f}",
-             f"{path.carries:+.3f} ({path.low:+.3f} to {path.high:+.3f})"] for path in findings.paths]
-
-
-def _tabulate_course(screening: Screening) -> str:
-    """Training of the two recipes, fifth by fifth."""
-    rows: list[list[Any]] = []
-    for title, (key, digits) in _COURSES.items():
-        for recipe, row in (("published", 0), ("corrected", -1)):
+def average_course(screening: Screening) -> dict[tuple[str, str], list[float]]:
+    """Training of the two recipes: means over rooms and seeds in each fifth of a run."""
+    course = {}
+    for title, (key, _) in _COURSES.items():
+        for recipe, row in (("2019", 0), ("default", -1)):
             values = np.array([mark_gaps(getattr(block[row], key)) for block in screening.runs.values()])
             fifths = values.reshape(len(values), FIFTHS, BINS // FIFTHS)
-            means = [_average(fifths[:, number].ravel()) for number in range(FIFTHS)]
-            rows.append([title, recipe, *(f"{mean:.{digits}f}" for mean in means)])
-    return make_table(["quantity", "recipe", *(f"fifth {number + 1}" for number in range(FIFTHS))], rows)
+            course[title, recipe] = np.nanmean(fifths, axis=(0, 2)).tolist()
+    return course
 
 
-def _average(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float("nan")
+def draw_effects(effects: Sequence[MainEffect], theme: Theme) -> Figure:
+    """Draw the main effects on the slope with their intervals, largest first; dots are rooms."""
+    ordered = sorted(effects, key=lambda effect: effect.test.difference)
 
+    def draw(axes: Axes) -> None:
+        for number, effect in enumerate(ordered):
+            colour = theme.lines[0] if effect.is_shown else theme.muted
+            axes.plot(effect.rooms, [number - 0.27] * len(effect.rooms), ".", color=colour, alpha=0.6, markersize=4)
+            axes.plot([effect.test.low, effect.test.high], [number] * 2, color=colour, linewidth=2)
+            axes.plot(effect.test.difference, number, "o", color=colour, markersize=7)
+        axes.axvline(0, color=theme.ink, linewidth=0.8)
+        axes.set_yticks(range(len(ordered)), [effect.factor for effect in ordered])
+        axes.set(xlabel="change of the slope of efficiency over a run")
+        axes.xaxis.set_major_formatter("{x:+.1f}")
 
-def draw_effects(effects: Sequence[MainEffect], levels: Sequence[MainEffect]) -> Figure:
-    """Main effects on slope and level with their intervals over rooms, corrected; a dot a room."""
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(7.6, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(1, 2, sharey=True)
-        at = np.arange(len(effects))[::-1]
-        for axes, own, title in zip(panels, (effects, levels), ("slope", "level"), strict=True):
-            middle = [effect.test.difference for effect in own]
-            reach = np.array([[effect.test.difference - effect.test.low, effect.test.high - effect.test.difference]
-                              for effect in own]).T
-            for shown, colour in ((True, palette.LINES[0]), (False, palette.MUTED)):
-                chosen = [n for n, effect in enumerate(own) if effect.is_shown == shown]
-                axes.errorbar([middle[n] for n in chosen], at[chosen], xerr=reach[:, chosen], fmt="o", markersize=5,
-                              color=colour, ecolor=colour, capsize=2, label="shown" if shown else "not shown")
-            for number, (place, effect) in enumerate(zip(at, own, strict=True)):
-                axes.plot(effect.rooms, [place - 0.25] * len(effect.rooms), ".", markersize=4, color=palette.LINES[4],
-                          label=None if number else "a room")
-            axes.axvline(0, color=palette.MUTED, linewidth=0.8)
-            axes.set_yticks(at, [effect.factor for effect in effects])
-            axes.set_xlabel(f"effect on the {title}", color=palette.INK)
-            finish_axes(axes)
-            axes.xaxis.set_major_formatter("{x:+.1f}")
-            axes.grid(visible=False, axis="y")
-        panels[1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
-    return figure
+    return make_figure(theme, draw, height=4.0, grid="x")

@@ -9,7 +9,7 @@ model with random effects of rooms (Montgomery, Design and Analysis of Experimen
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,12 @@ from hrl_escape.benchmark.statistics import Floats, compute_area
 from hrl_escape.errors import ComparisonError
 from studies.factorial.design import get_factors, make_label, make_screening_design
 from studies.raw import RawRun
-from studies.statistics import choose_holm_levels, compute_slope, find_visible_difference
+from studies.statistics import choose_holm_levels, compute_slope
 
 __all__ = ["SIGNIFICANT", "MainEffect", "Screening", "compute_contrasts", "compute_effects", "mark_gaps",
-           "find_sufficient", "measure_area", "measure_change"]
+           "measure_area", "measure_change", "repeat_effects"]
 
 SIGNIFICANT = 0.05
-SHARE = 0.75
-"""Share of what all shown corrections bring together, from which on one of them is said to suffice alone."""
-MOST_TOGETHER = 3
-"""Factors that take all their combinations in every such design."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +36,12 @@ class MainEffect:
         test: over rooms; `pairs` counts rooms. Its interval leaves 0 out where the effect is shown.
         p: of the test, corrected over the factors (Holm).
         rooms: effect in each room.
-        visible: smallest effect that the test would have seen in 80 % of such studies.
     """
 
     factor: str
     test: PairedTest
     p: float
     rooms: tuple[float, ...]
-    visible: float = 0.0
 
     @property
     def is_shown(self) -> bool:
@@ -131,42 +125,15 @@ def compute_effects(screening: Screening, compute: Callable[[RawRun], float]) ->
     """Main effects on a number of each run, in the order of the factors, corrected as one family."""
     by_room = compute_contrasts(screening.measure(compute), screening.design).mean(axis=1)
     raw = [compare_pairs([column]).p for column in by_room.T]
-    return [MainEffect(factor, compare_pairs([column], level), p, tuple(column.tolist()),
-                       find_visible_difference([column], SIGNIFICANT / len(raw)) if len(column) > 1 else np.inf)
+    return [MainEffect(factor, compare_pairs([column], level), p, tuple(column.tolist()))
             for factor, level, p, column in zip(screening.factors, choose_holm_levels(raw, SIGNIFICANT),
                                                 correct_by_holm(raw), by_room.T, strict=True)]
 
 
-def find_sufficient(screening: Screening, effects: Sequence[MainEffect], compute: Callable[[RawRun], float]
-                    ) -> dict[str, bool | None]:
-    """Judge each correction that is shown to raise a number, the three largest at most: does it suffice alone?
-
-    One suffices where it brings `SHARE` of what all of them bring together, the others of them being as published, and
-    not where it brings less; None where neither is shown. The design holds every combination of three factors; effects
-    of the other factors are taken out first.
-
-    Returns:
-        Verdict by factor, largest effect first; empty where fewer than two are shown.
-    """
-    shown = sorted((effect for effect in effects if effect.is_shown and effect.test.difference > 0),
-                   key=lambda effect: -effect.test.difference)[:MOST_TOGETHER]
-    if len(shown) < 2:
-        return {}
-    columns = [screening.factors.index(effect.factor) for effect in shown]
-    others = [number for number in range(len(effects)) if number not in columns]
-    design, values = screening.design, screening.measure(compute)
-    values = values - compute_contrasts(values, design)[..., others] @ design[:, others].T / 2
-    rows = {tuple(row): np.all(design[:, columns] == row, axis=1)
-            for row in np.unique(design[:, columns], axis=0).tolist()}
-
-    def get_mean(raised: Sequence[int]) -> Floats:
-        """Mean in each room with these of the shown factors corrected."""
-        chosen = rows[tuple(1 if number in raised else -1 for number in range(len(columns)))]
-        return values[..., chosen].mean(axis=(1, 2))
-
-    nothing, together = get_mean([]), get_mean(range(len(columns)))
-    tests = [compare_pairs([get_mean([number]) - nothing - SHARE * (together - nothing)])
-             for number in range(len(columns))]
-    corrected = correct_by_holm([test.p for test in tests])
-    return {effect.factor: bool(test.difference > 0) if p < SIGNIFICANT else None
-            for effect, test, p in zip(shown, tests, corrected, strict=True)}
+def repeat_effects(fresh: Screening, factors: Sequence[str]) -> list[MainEffect]:
+    """Effects on the slope in fresh rooms, of these factors alone and corrected for these alone (Holm)."""
+    effects = {effect.factor: effect for effect in compute_effects(fresh, measure_change)}
+    chosen = [effects[factor] for factor in factors]
+    raw = [effect.test.p for effect in chosen]
+    return [replace(effect, p=p, test=compare_pairs([np.array(effect.rooms)], level)) for effect, p, level in
+            zip(chosen, correct_by_holm(raw), choose_holm_levels(raw, SIGNIFICANT), strict=True)]

@@ -1,4 +1,4 @@
-"""The fall of flat PPO: time in corners and entropy beside first escapes, and what each remedy changes against `ppo`.
+"""Flat PPO: time in corners, entropy and first escapes, and what each change of PPO does to them.
 
 Runs of the same seed are pairs. First escapes are compared as ratios, those that never came counting as the budget;
 each table of comparisons is one family (Holm), and all tests are by flipped signs.
@@ -7,21 +7,21 @@ each table of comparisons is one family (Holm), and all tests are by flipped sig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.pictures import palette
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
-from hrl_escape.names import join_words
-from studies.figures import FIGURE_STYLE, finish_axes
+from studies.figures import Theme, make_figure, write_label
 from studies.flat import (
     TENTHS,
     FlatArgs,
@@ -32,13 +32,14 @@ from studies.flat import (
     list_learners,
     measure_flat_runs,
 )
-from studies.page import make_table
 from studies.statistics import Difference, compare_signs
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
+from studies.titles import find_title
 
-__all__ = ["LINES", "Args", "advise", "analyse", "compare", "measure", "tell_fall", "tell_late", "tell_learning",
-           "tell_remedies", "tell_untrained"]
+__all__ = ["LINES", "Args", "analyse", "compare", "find_untrained", "measure", "read_corners", "read_escape",
+           "read_late"]
 
 LINES = (FlatRun,)
 Args = FlatArgs
@@ -82,34 +83,6 @@ def read_late(run: FlatRun) -> float:
     return float(np.mean(late)) if late else 0.0
 
 
-# --- words -----------------------------------------------------------------------------------
-
-
-def tell_fall(lines: Sequence[FlatRun], plain: str, chance: str) -> str:
-    """The finding: does PPO escape later than a policy that never learns, and is it in corners at full entropy?"""
-    if chance not in (escape := compare(lines, [chance], plain, read_escape)):
-        return f"Nothing is concluded from fewer than {LEAST_RUNS} pairs of runs."
-    corners = compare(lines, [chance], plain, read_corners)[chance]
-    share = {label: float(np.mean([read_corners(run) for run in lines if run.agent == label]))
-             for label in (plain, chance)}
-    entropy = float(np.mean([run.entropy for run in lines if run.agent == plain])) / FULL
-    where = (f"spends {share[plain]:.0%} of its time in corners, where a policy that never learns spends "
-             f"{share[chance]:.0%}")
-    factor, ends = math.exp(-escape[chance].mean), sorted(math.exp(-end) for end in escape[chance][1:3])
-    price = f"{factor:.1f} times the primitives of chance ({ends[0]:.1f} to {ends[1]:.1f})"
-    if not escape[chance].sign and corners.sign < 0:
-        return (f"Flat PPO drifts into corners: `{plain}` {where}, at {entropy:.0%} of the largest entropy; that its "
-                f"first escape comes later is not shown: it takes {price}.")
-    if escape[chance].sign >= 0:
-        return (f"No fall is shown: until its first escape `{plain}` takes {price}; it {where}."
-                if not escape[chance].sign else
-                f"`{plain}` beats chance: until its first escape it takes {price}; it {where}.")
-    if corners.sign < 0:
-        return (f"Flat PPO falls below chance because it drifts into corners: `{plain}` {where}, at {entropy:.0%} of "
-                f"the largest entropy, and until its first escape it takes {price}.")
-    return f"Flat PPO falls below chance, and not by corners: until its first escape it takes {price}; it {where}."
-
-
 def find_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner]) -> dict[str, tuple[int, int]]:
     """Label -> latest first escape and primitives before the first update, of those all of whose escapes come before.
 
@@ -126,198 +99,77 @@ def find_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner]
     return found
 
 
-def tell_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner], chances: Mapping[int, str]) -> str:
-    """Sentences on learners whose first escapes all come before their first update; empty where there are none.
-
-    Args:
-        lines: all runs.
-        learners: by label.
-        chances: primitives that an action is repeated for -> label of the policy that never learns with as many.
-    """
-    controls = list(chances.values())
-    found = find_untrained(lines, learners)
-    said = []
-    for escapes, labels in group_alike(lines, found).items():
-        if all(label in controls for label in labels):
-            continue
-        latest, update = found[labels[0]]
-        repeat, who = learners[labels[0]].repeat, join_words([f"`{label}`" for label in labels])
-        alike = f", the same in {'both' if len(labels) == 2 else 'all'} run by run," if len(labels) > 1 else ""
-        said.append(f"The {len(escapes)} first escapes of {who}{alike} come within {latest:,} primitives, and the "
-                    f"first update only after {update:,}: they are those of random moves"
-                    + (f", each repeated {repeat} times" if repeat > 1 else "") + ", and not of learning.")
-        if repeat not in chances:
-            said.append(f"Chance with {repeat} repeats was not run.")
-    return " ".join(said)
-
-
-def tell_late(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner], chances: Mapping[int, str]) -> list[str]:
-    """A sentence a control: do its learners escape more often in the last half of training than it does?
-
-    Args:
-        lines: all runs.
-        learners: by label.
-        chances: as of `tell_untrained`.
-    """
-    said = []
-    for repeat, control in chances.items():
-        twins = [label for label, learner in learners.items() if learner.repeat == repeat and label != control]
-        found = compare(lines, twins, control, read_late)
-        share = {label: float(np.mean([read_late(run) for run in lines if run.agent == label]))
-                 for label in (control, *found)}
-        words = {sign: [f"`{label}` ({share[label]:.0%}; {test.mean:+.2f}, {test.low:+.2f} to {test.high:+.2f})"
-                        for label, test in found.items() if test.sign == sign] for sign in (1, -1, 0)}
-        told = [f"{kind} {join_words(words[sign])}" for sign, kind in
-                ((1, "more often"), (-1, "less often"), (0, "no difference is shown for")) if words[sign]]
-        if told:
-            said.append(f"In the last half of training `{control}` escapes in {share[control]:.0%} of its episodes; "
-                        f"{'; '.join(told)}.")
-    return said
-
-
-def group_alike(lines: Sequence[FlatRun], labels: Iterable[str]) -> dict[tuple[tuple[int, int | None], ...], list[str]]:
-    """Labels by their first escapes, seed by seed."""
-    groups: dict[tuple[tuple[int, int | None], ...], list[str]] = {}
-    for label in labels:
-        own = tuple(sorted((run.seed, run.first_escape) for run in lines if run.agent == label))
-        groups.setdefault(own, []).append(label)
-    return groups
-
-
-def tell_remedies(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, chance: str,
-                  untrained: Collection[str] = ()) -> list[str]:
-    """A sentence a remedy: time in corners and first escape against the plain learner's, and whether chance is beaten.
-
-    Args:
-        lines: all runs.
-        remedies: labels.
-        plain: label of the learner without them.
-        chance: label of the policy that never learns.
-        untrained: labels whose first escapes come before they learn.
-    """
-    corners = compare(lines, remedies, plain, read_corners)
-    escapes = compare(lines, remedies, plain, read_escape)
-    beyond = compare(lines, remedies, chance, read_escape)
-    told = []
-    for label in corners:
-        where, when, over = corners[label], escapes[label], beyond.get(label)
-        keeps = {-1: "keeps it out of corners", 1: "drives it into corners",
-                 0: "is not shown to change its time in corners"}[where.sign]
-        factor, ends = math.exp(when.mean), (math.exp(when.low), math.exp(when.high))
-        speed = {-1: "comes sooner", 1: "comes later", 0: "is not shown to come sooner or later"}[when.sign]
-        sooner = ("; all of its first escapes come before the first update" if label in untrained else
-                  "; it beats chance")
-        chances = "" if over is None else {-1: sooner, 1: "; it stays behind chance",
-                                           0: "; it is not told apart from chance"}[over.sign]
-        told.append(f"`{label}` {keeps} ({where.mean:+.2f}, {where.low:+.2f} to {where.high:+.2f}), and its first "
-                    f"escape {speed} ({factor:.2f} times the primitives, {ends[0]:.2f} to {ends[1]:.2f}){chances}.")
-    return told
-
-
-def advise(lines: Sequence[FlatRun], remedies: Sequence[str], plain: str, untrained: Collection[str] = ()) -> str:
-    """Advice to a user: remedies that bring the first escape sooner, and those that only keep out of corners.
-
-    Args:
-        lines: all runs.
-        remedies: labels.
-        plain: label of the learner without them.
-        untrained: labels whose first escapes come before they learn.
-    """
-    corners, escapes = (compare(lines, remedies, plain, read) for read in (read_corners, read_escape))
-    sooner = {label: f"`{label}`" for label, found in escapes.items() if found.sign < 0}
-    kept = [f"`{label}`" for label, found in corners.items() if found.sign < 0 and label not in sooner]
-    said = "Watch where your agent spends its time before the first reward"
-    learned, early = ([name for label, name in sooner.items() if (label in untrained) == is_early]
-                      for is_early in (False, True))
-    if learned:
-        said += f", and begin with {join_words(learned, 'or')}: the first escape comes sooner"
-    if early:
-        said += (f"{'; ' if learned else ', and '}try {join_words(early, 'or')}: the first escape comes sooner, "
-                 "before anything is learned")
-    if kept:
-        said += (f"; {join_words(kept)} {'keeps' if len(kept) == 1 else 'keep'} it out of corners but "
-                 f"{'is' if len(kept) == 1 else 'are'} not shown to bring the first escape sooner")
-    return f"{said}{'' if sooner or kept else '; none of the remedies tried here is shown to help'}."
-
-
-def tell_learning(lines: Sequence[FlatRun], learners: Sequence[str]) -> str:
-    """Worth of the greedy policies in the end, by count: an escape by luck in training is not learning."""
-    counts = {label: (sum(run.efficiency > 0 for run in own), len(own)) for label in learners
-              if (own := [run for run in lines if run.agent == label])}
-    some = [f"`{label}` in {hits} of {runs} runs" for label, (hits, runs) in counts.items() if hits]
-    if not some:
-        return ("No greedy policy escapes at the end of any run: what helps here is exploring, and nothing was learned "
-                "yet.")
-    rest = "" if len(some) == len(counts) else "; those of the others in none"
-    return f"Greedy policies that escape at the end: {join_words(some)}{rest}."
-
-
 # --- page ------------------------------------------------------------------------------------
 
 
-def analyse(study: Study, lines: Sequence[FlatRun]) -> Page:
-    """Sentences, table and figure.
+def analyse(study: Study, lines: Sequence[FlatRun]) -> Findings:
+    """Differences from plain PPO and from untrained policies, a table and the figure.
 
     Raises:
         ComparisonError: there are no runs.
     """
     if not lines:
-        raise ComparisonError("there are no runs to tell of")
+        raise ComparisonError("this study has no runs")
     data = study.data
     lines = sorted(lines, key=lambda run: run.place)
-    labels = [table["label"] for table in data["learners"] if any(run.agent == table["label"] for run in lines)]
+    runs = {table["label"]: own for table in data["learners"]
+            if (own := [run for run in lines if run.agent == table["label"]])}
     plain, chance = data["plain"], data["chances"][0]
-    remedies = [label for label in labels if label not in (plain, *data["chances"])]
-    learners = {learner.label: learner for learner in list_learners(study, FlatArgs(agents=tuple(labels)))}
-    chances = {learners[label].repeat: label for label in data["chances"] if label in learners}
-    untrained = find_untrained(lines, learners)
-    headline, told = tell_fall(lines, plain, chance), tell_remedies(lines, remedies, plain, chance, untrained)
-    early, late = tell_untrained(lines, learners, chances), tell_late(lines, learners, chances)
-    learning = tell_learning(lines, [label for label in labels if label not in data["chances"]])
-    return Page({
-        "headline": headline, "told": told, "early": early, "late": late,
-        "advice": advise(lines, remedies, plain, untrained), "learning": learning, "budget": lines[0].budget,
-        "runs": min(sum(run.agent == label for run in lines) for label in labels),
-        "table": make_table(["learner", "runs", "first escape, median", "never", "in corners", "share of full entropy",
-                             "escapes in training, last half", "efficiency at the end"],
-                            [_describe(label, [run for run in lines if run.agent == label]) for label in labels]),
-        "settings": {table["label"]: table for table in data["learners"]},
-    }, {"flat-ppo": draw(lines, labels)}, [headline, *told, *late, learning, *filter(None, [early])])
+    remedies = [label for label in runs if label not in (plain, *data["chances"])]
+    learners = {learner.label: learner for learner in list_learners(study, FlatArgs(agents=tuple(runs)))}
+    late = {label: found for control in data["chances"] for label, found in compare(
+        lines, [label for label, learner in learners.items()
+                if learner.repeat == learners[control].repeat and label != control], control, read_late).items()}
+    return Findings(SimpleNamespace(
+        budget=lines[0].budget,
+        corners={label: float(np.mean(list(map(read_corners, own)))) for label, own in runs.items()},
+        entropy=float(np.mean([run.entropy for run in runs[plain]])) / FULL,
+        chance_escape=take_exponent(compare(lines, [chance], plain, read_escape).get(chance), -1),
+        chance_corners=compare(lines, [chance], plain, read_corners).get(chance),
+        remedy_corners=compare(lines, remedies, plain, read_corners),
+        remedy_escapes={label: take_exponent(found) for label, found in
+                        compare(lines, remedies, plain, read_escape).items()},
+        untrained=find_untrained(lines, learners), late=late,
+        late_share={label: float(np.mean(list(map(read_late, own)))) for label, own in runs.items()},
+        greedy={label: sum(run.efficiency > 0 for run in own) for label, own in runs.items()
+                if label not in data["chances"]}), {
+            "flat_ppo": make_table(["learner", "label", "runs", "first escape, median", "never", "time in corners",
+                                    "share of full entropy", "escapes in training, last half", "efficiency at the end"],
+                                   [_describe(label, own) for label, own in runs.items()])},
+        {"flat-ppo": partial(draw, runs)})
+
+
+def take_exponent(found: Difference | None, sign: int = 1) -> Difference | None:
+    """Ratio of which a difference is the logarithm; with a sign of -1 the inverse ratio."""
+    if found is None:
+        return None
+    low, high = sorted((math.exp(sign * found.low), math.exp(sign * found.high)))
+    return Difference(math.exp(sign * found.mean), low, high, found.p)
 
 
 def _describe(label: str, runs: Sequence[FlatRun]) -> list[Any]:
     late = [read_late(run) for run in runs if any(share is not None for share in run.escapes[TENTHS // 2:])]
     first = np.median([min(run.first_escape or run.budget, run.budget) for run in runs])
-    return [f"`{label}`", len(runs), f"{first:,.0f}",
+    return [find_title(label), f"`{label}`", len(runs), f"{first:,.0f}",
             sum(run.first_escape is None for run in runs), f"{np.mean([read_corners(run) for run in runs]):.2f}",
             f"{np.mean([run.entropy for run in runs]) / FULL:.2f}", f"{np.mean(late):.2f}" if late else "-",
             f"{np.mean([run.efficiency for run in runs]):.2f}"]
 
 
-def draw(lines: Sequence[FlatRun], labels: Sequence[str]) -> Figure:
-    """Time in corners along the run, mean over runs, and the first escapes of all runs."""
-    colours: Mapping[str, str] = dict(zip(labels, (palette.MUTED, *palette.LINES), strict=False))
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(9.2, 3.4), facecolor=palette.BACKGROUND, layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=(1, 1.2))
-        for at, label in enumerate(labels[::-1]):
-            own = [run for run in lines if run.agent == label]
+def draw(runs: Mapping[str, Sequence[FlatRun]], theme: Theme) -> Figure:
+    """Share of time in corners along the run, mean over runs."""
+    shown = {"ppo": (theme.lines[2], 5, 0.295), "ppo, novelty": (theme.lines[3], 9, 0.17),
+             "ppo, commitment": (theme.lines[1], 6, 0.092), "ppo, advantages as they are": (theme.lines[0], 4, 0.048),
+             "chance": (theme.lines[4], 9, 0.008)}
+
+    def paint(axes: Axes) -> None:
+        for label, (colour, tenth, y) in shown.items():
+            own = runs[label]
             middles = (np.arange(TENTHS) + 0.5) / TENTHS * own[0].budget
-            left.plot(middles, np.mean([run.corners for run in own], axis=0), color=colours[label], linewidth=1.8)
-            escaped = [run.first_escape for run in own if run.first_escape is not None]
-            right.plot(escaped, [at] * len(escaped), "o", markersize=5, alpha=0.6, color=colours[label],
-                       markeredgewidth=0)
-            never = len(own) - len(escaped)
-            if never:
-                right.plot(1.15 * own[0].budget, at, "x", markersize=6, color=colours[label])
-                right.text(1.25 * own[0].budget, at, f"{never} never", va="center", color=palette.MUTED)
-        finish_axes(left)
-        left.set(xlabel="primitives of training", ylabel="share of time in corners", ylim=(0, None))
-        finish_axes(right)
-        right.set_xscale("log")
-        right.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-        right.set_yticks(range(len(labels)), labels[::-1])
-        for tick, label in zip(right.get_yticklabels(), labels[::-1], strict=True):
-            tick.set_color(colours[label])
-        right.set(xlabel="primitives to the first escape", xlim=(None, 2.2 * lines[0].budget))
-    return figure
+            axes.plot(middles, np.mean([run.corners for run in own], axis=0), color=colour, linewidth=2)
+            write_label(axes, tenth / (2 * TENTHS) * own[0].budget, y, find_title(label), colour)
+        axes.set(xlabel="primitives of training", ylabel="share of time in corners", ylim=(0, None))
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.set_xticks(np.linspace(0, runs["ppo"][0].budget, 5))
+
+    return make_figure(theme, paint)

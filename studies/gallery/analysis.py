@@ -1,15 +1,12 @@
-"""The gallery of puzzles: fewest operators and a planned escape of each room, and how a few agents do in it."""
+"""A room of every puzzle: its fewest operators, the planner's escape, and the scores of a few agents."""
 
 from __future__ import annotations
 
 import dataclasses
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-
-import matplotlib
-import numpy as np
-from matplotlib.figure import Figure
+from types import SimpleNamespace
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
@@ -18,21 +15,18 @@ from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.pictures import palette
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
-from hrl_escape.settings import read_record
-from studies.figures import FIGURE_STYLE
-from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "Args", "Entry", "PlayedRun", "SolvedRoom", "analyse", "count_fewest", "list_entries", "measure"]
+__all__ = ["LINES", "Args", "PlayedRun", "SolvedRoom", "analyse", "count_fewest", "measure"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,35 +41,6 @@ class Args(StudyArgs):
     """Training budget of a run."""
     episodes: int = 5
     """Evaluation episodes of an agent in a room."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Entry:
-    """A puzzle of the gallery.
-
-    Attributes:
-        preset: name of its room.
-        title: heading.
-        rules: three sentences.
-        level: how exactly it is the published domain, of `exactness` in `study.toml`.
-        carries: published numbers that hold in the room.
-        carries_not: those that do not, and why.
-        optimum: the best that can be done; `{fewest}` stands for the fewest operators, which are measured, and
-            `{expected}` for their mean number where a press may do nothing.
-    """
-
-    preset: str
-    title: str
-    rules: str
-    level: str
-    carries: str
-    carries_not: str
-    optimum: str
-
-    @property
-    def name(self) -> str:
-        """The title without its source."""
-        return self.title.split(" (")[0].split(", after")[0]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,11 +92,6 @@ class PlayedRun:
 LINES = (SolvedRoom, PlayedRun)
 
 
-def list_entries(study: Study) -> list[Entry]:
-    """Puzzles, in the order of the page."""
-    return [read_record(Entry, table) for table in study.data["puzzle"]]
-
-
 def measure(study: Study, args: Args, store: Store) -> None:
     """Measure what is missing, room after room, and keep each finding at once."""
     for found in _measure_missing(study, args, store):
@@ -141,7 +101,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
 def _measure_missing(study: Study, args: Args, store: Store) -> Iterator[SolvedRoom | PlayedRun]:
     there, learner = {line.place for line in store.load()}, study.data["learner"]
     players = (*study.data["players"], study.data["informed"])
-    for preset in args.presets or [entry.preset for entry in list_entries(study)]:
+    for preset in args.presets or study.data["puzzles"]:
         room = generate(get_preset(preset), 0)
         if preset not in there:
             yield _solve_room(preset, room)
@@ -151,7 +111,7 @@ def _measure_missing(study: Study, args: Args, store: Store) -> Iterator[SolvedR
             for seed in range(args.runs if agent == learner else 1):
                 budget = args.primitives if agent == learner else 0
                 if (preset, agent, seed, budget, args.episodes) not in there:
-                    with suppress(UnsupportedError):  # a puzzle that the informed searcher does not know
+                    with suppress(UnsupportedError):  # a puzzle whose graphs the Bayes planner cannot list
                         yield _play_room(preset, room, agent, seed, budget, args.episodes)
 
 
@@ -187,64 +147,30 @@ def _list_escapes(last: Evaluation) -> tuple[int | None, ...]:
     return tuple(length if success else None for length, success in zip(last.lengths, last.successes, strict=True))
 
 
-# --- the page --------------------------------------------------------------------------------
+# --- findings --------------------------------------------------------------------------------
 
 
-def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Page:
-    """Table of all puzzles, and who escapes always or never."""
+def analyse(study: Study, lines: Sequence[SolvedRoom | PlayedRun]) -> Findings:
+    """Scores of agents in each puzzle."""
     rooms = {line.preset: line for line in lines if isinstance(line, SolvedRoom)}
     runs = [line for line in lines if isinstance(line, PlayedRun)]
-    shown = [entry for entry in list_entries(study) if entry.preset in rooms]
-    players, learner = study.data["players"], study.data["learner"]
-    learned = [run for run in runs if run.agent == learner]
-    played = {agent: {entry.name: lengths for entry in shown if (lengths := _select(runs, entry.preset, agent))}
-              for agent in players}
-    rows = [[f"`{entry.preset}`", entry.level, rooms[entry.preset].fewest, rooms[entry.preset].planned or "",
-             *(_tell_escapes(_select(runs, entry.preset, agent)) for agent in (*players, study.data["informed"]))]
-            for entry in shown]
-    return Page({
-        "always": {agent: [name for name, lengths in own.items() if None not in lengths]
-                   for agent, own in played.items()},
-        "played": {agent: len(own) for agent, own in played.items()},
-        "beyond": [name for name, lengths in played[learner].items()
-                   if None not in lengths and None in played[players[2]].get(name, [None])],
-        "never": [name for name, lengths in played[learner].items() if set(lengths) == {None}],
-        "table_of_puzzles": make_table(
-            ["puzzle", "exact", "fewest operators", "planner", "random", "in order", "searching", "learning",
-             "told the room configuration"], rows),
-        "entries": [(entry, _tell_optimum(entry, rooms[entry.preset])) for entry in shown],
-        "seeds": len({run.seed for run in learned}), "runs": 1 + max((run.seed for run in learned), default=0),
-        "budget": max((run.primitives for run in learned), default=0),
-        "episodes": max((len(run.escapes) for run in runs), default=0),
-    }, {"gallery": draw(played, [entry.name for entry in shown])})
-
-
-def draw(played: Mapping[str, Mapping[str, Sequence[int | None]]], names: Sequence[str]) -> Figure:
-    """Share of episodes that escape: a row an agent, a column a puzzle; white where nothing was played."""
-    shares = np.array([[np.mean([length is not None for length in own[name]]) if name in own else np.nan
-                        for name in names] for own in played.values()])
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(9.2, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.subplots()
-        image = axes.imshow(shares, cmap="YlGn", vmin=0, vmax=1, aspect="auto")
-        axes.set_yticks(range(len(played)), [agent.removeprefix("smdp-") for agent in played])
-        axes.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=7.5)
-        figure.colorbar(image, label="episodes that escape", format="{x:.0%}")
-    return figure
+    agents = (*study.data["players"], study.data["informed"])
+    found = {preset: {agent: ends for agent in agents if (ends := _select(runs, preset, agent))}
+             for preset in study.data["puzzles"] if preset in rooms}
+    table = make_table(["puzzle", "fewest operators", "planner", *(AgentSpec.parse(agent).title for agent in agents)], [
+        [f"`{preset}`", rooms[preset].fewest, rooms[preset].planned or "",
+         *(_format(own[agent]) if agent in own else "" for agent in agents)] for preset, own in found.items()])
+    always = {agent: [preset for preset, own in found.items() if agent in own and None not in own[agent]]
+              for agent in agents}
+    return Findings(SimpleNamespace(ends=found, always=always), {"puzzles": table})
 
 
 def _select(runs: Sequence[PlayedRun], preset: str, agent: str) -> list[int | None]:
     return [length for run in runs if (run.preset, run.agent) == (preset, agent) for length in run.escapes]
 
 
-def _tell_escapes(lengths: Sequence[int | None]) -> str:
-    """Share of the episodes that escaped, and their median primitives; empty without episodes."""
+def _format(lengths: Sequence[int | None]) -> str:
+    """Share of the episodes that escaped, and their median primitives."""
     escaped = [length for length in lengths if length is not None]
-    if not lengths:
-        return ""
     share = f"{len(escaped) / len(lengths):.0%}"
     return f"{share}, {statistics.median(escaped):.0f}" if escaped else share
-
-
-def _tell_optimum(entry: Entry, room: SolvedRoom) -> str:
-    return entry.optimum.format(fewest=room.fewest, expected=f"{room.fewest / room.success:.1f}")

@@ -1,33 +1,29 @@
-"""Generalisation: efficiency by numbers of training rooms and in deeper puzzles, with its figure."""
+"""Generalisation: efficiency by number of training rooms, in deeper puzzles, and in other rungs than trained in."""
 
 from __future__ import annotations
 
 import dataclasses
 import re
 import sys
-from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import run_grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
-from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.pictures import palette
+from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from studies.baseline import BaselineRun, collect_baselines
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.generalisation.findings import advise, tell_best, tell_puzzle_depths, tell_room_numbers
+from studies.figures import Theme, make_figure, write_label
 from studies.generalisation.grids import (
     AT_ONCE,
     CEILING,
     DEPTHS,
-    FLAT,
-    FLAT_CHANCE,
     MEMORY,
     NAMES,
     OBJECTS,
@@ -38,20 +34,19 @@ from studies.generalisation.grids import (
     make_depth_grid,
     make_sizes_grid,
 )
-from studies.generalisation.many import STREAMS, measure_courses, measure_many, name_rooms, run_reference
-from studies.generalisation.transfer import draw_transfers, read_transfers, tabulate_transfers, tell_transfers
+from studies.generalisation.many import measure_courses, measure_many, name_rooms, run_reference
 from studies.ladder.calibration import CHANCE
-from studies.page import make_table
 from studies.running import refuse_failures
+from studies.statistics import Difference, compare_strata
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 
-__all__ = ["Args", "analyse", "draw_sizes", "measure", "prefer_at_once", "split_at_once"]
+__all__ = ["Args", "analyse", "compare_cells", "measure", "prefer_at_once"]
 
 Args = GeneralisationArgs
-_CHANCES = dict.fromkeys(NAMES, CHANCE) | {FLAT: FLAT_CHANCE}
-_COLOURS = dict(zip(NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00"), strict=True))
-_Key = TypeVar("_Key")
+Cells = Mapping[tuple[str, Any], Mapping[int, float]]
+"""Efficiency by training seed, by agent and number of training rooms or kind of room tested in."""
 
 
 def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
@@ -114,159 +109,100 @@ def _list_at_once(args: GeneralisationArgs, store: Store, part: str) -> list[Bas
             and (line.protocol, line.primitives, line.episodes) == (part, args.primitives, args.rooms)]
 
 
-def split_at_once(lines: Sequence[BaselineRun]) -> tuple[list[BaselineRun], list[BaselineRun]]:
-    """Lines of learners from many rooms at once, by their own labels, and all others but theirs on the same rungs."""
+def prefer_at_once(lines: Sequence[BaselineRun]) -> list[BaselineRun]:
+    """Lines of a part, of each learner those from many rooms at once where there are any, by its own label."""
     at_once = [dataclasses.replace(line, agent=line.agent.removesuffix(AT_ONCE)) for line in lines
                if line.agent.endswith(AT_ONCE)]
     there = {(line.rung, line.agent) for line in at_once}
-    return at_once, [line for line in lines
-                     if not line.agent.endswith(AT_ONCE) and (line.rung, line.agent) not in there]
-
-
-def prefer_at_once(lines: Sequence[BaselineRun]) -> list[BaselineRun]:
-    """Lines of a part, of each learner those from many rooms at once where there are any, by its own label."""
-    at_once, alone = split_at_once(lines)
+    alone = [line for line in lines if not line.agent.endswith(AT_ONCE) and (line.rung, line.agent) not in there]
     return sorted([*at_once, *alone], key=lambda line: line.place)
 
 
-def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
-    """Tables, sentences and the figure of lines of the protocols `sizes` and `depth`."""
-    lines = sorted(lines, key=lambda line: line.place)
-    sizes, depth = ([line for line in lines if line.protocol == part] for part in ("sizes", "depth"))
-    rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
-    kept = {rung: prefer_at_once(own) for rung, own in rungs.items()}
-    cells = {rung: _group((line.agent, _count_rooms(line), line) for line in own) for rung, own in kept.items()}
-    deeper = prefer_at_once(depth)
-    transfers = read_transfers([line for line in lines if line.protocol == "transfer"])
-    return Page({
-        "rungs": {rung: _describe_both(own) | {
-            "ends": _summarise(kept[rung]), "table": _tabulate_sizes(kept[rung]),
-            "best": tell_best(cells[rung], tuple(NAMES)),
-            "told": tell_room_numbers(cells[rung], tuple(NAMES), _CHANCES)} for rung, own in rungs.items()},
-        "depth": _describe_both(depth) | {
-            "table": _tabulate_depths(deeper),
-            "told": tell_puzzle_depths(_group((line.agent, line.rung, line) for line in deeper), tuple(NAMES),
-                                       CHANCE)} if depth else None,
-        "advice": " ".join(dict.fromkeys(
-            advice for own in cells.values() if (advice := advise(own, MEMORY, OBJECTS)))),
-        "transfers": {"told": tell_transfers(transfers), "table": tabulate_transfers(transfers), **_describe(
-            [line for line in lines if line.protocol == "transfer" and line.primitives])} if transfers else None,
-        "trained": TRAINED, "own": GeneralisationArgs.primitives, "streams": STREAMS,
-    }, ({"generalisation": draw_sizes(kept)} if sizes else {})
-        | ({"transfer": draw_transfers(transfers)} if transfers else {}))
+def compare_cells(cells: Cells, questions: Mapping[str, tuple[tuple[str, Any], tuple[str, Any]]]
+                  ) -> dict[str, Difference]:
+    """Compare pairs of cells by training seed, as one family (Student's t, Holm).
+
+    Raises:
+        ComparisonError: a cell has no run.
+    """
+    gaps = []
+    for first, second in questions.values():
+        if missing := [cell for cell in (first, second) if cell not in cells]:
+            raise ComparisonError(f"there is no run of {missing[0]}")
+        seeds = sorted(cells[first].keys() & cells[second].keys())
+        gaps.append([np.array([cells[first][seed] - cells[second][seed] for seed in seeds])])
+    return dict(zip(questions, compare_strata(gaps), strict=True))
 
 
-def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _Key], list[BaselineRun]]:
-    """Runs by agent and a second key."""
-    cells: dict[tuple[str, _Key], list[BaselineRun]] = {}
-    for agent, key, line in lines:
-        cells.setdefault((agent, key), []).append(line)
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
+    """Mean efficiency in unseen rooms, and what memory and more training rooms add.
+
+    Raises:
+        ComparisonError: runs are missing.
+    """
+    rung = study.data["shown"]
+    parts = {part: [line for line in lines if line.protocol == part] for part in ("sizes", "depth", "transfer")}
+    sizes = prefer_at_once([line for line in parts["sizes"] if line.rung == rung])
+    seen = _group((line.agent, _count_rooms(line), line.seed, line.seen) for line in sizes if line.seen is not None)
+    cells = _group((line.agent, _count_rooms(line), line.seed, line.efficiency) for line in sizes)
+    depths = _group((line.agent, line.rung, line.seed, line.efficiency) for line in prefer_at_once(parts["depth"]))
+    counts = sorted({count for _, count in cells})
+    most = max(count for agent, count in cells if agent == MEMORY)
+    gains = compare_cells(cells, {"memory": ((MEMORY, most), (OBJECTS, most)),
+                                  "rooms": ((MEMORY, most), (MEMORY, counts[0]))})
+    across = {(_read_source(line), line.rung, line.seed): line.efficiency
+              for line in parts["transfer"] if line.primitives}
+    learned = {(source, target): float(np.mean([value for (*pair, _), value in across.items()
+                                                if pair == [source, target]]))
+               for source in TRANSFER for target in TRANSFER}
+    known = {(line.agent, line.rung): line.efficiency for line in parts["transfer"] if not line.primitives}
+    search = {target: max(known[name, target] for name in SEARCH_BASELINES) for target in TRANSFER}
+    bayes = {target: known[name, target] for name in CEILING for target in TRANSFER}
+    means = {cell: float(np.mean([*own.values()])) for cell, own in cells.items()}
+    deep = {cell: float(np.mean([*own.values()])) for cell, own in depths.items()}
+    return Findings(
+        SimpleNamespace(means=means, depths=deep, gains=gains, learned=learned, search=search, bayes=bayes, most=most,
+                        seeds=len(cells[MEMORY, most]), rooms=sizes[0].episodes, data=study.data),
+        {"sizes": make_table(["agent", *(f"{count:,}" for count in counts)], [
+            [_title(agent), *(_format(means, seen, agent, count) for count in counts)]
+            for agent in dict.fromkeys([*NAMES, *SEARCH_BASELINES, *CEILING, CHANCE, *(name for name, _ in cells)])
+            if any(agent == other for other, _ in cells)]),
+         "memory": make_table(["question", "gain"], [
+             [f"with memory, {most:,} training rooms, against the same without memory",
+              format_interval(gains["memory"], "+.2f")],
+             [f"with memory, {most:,} training rooms against {counts[0]}", format_interval(gains["rooms"], "+.2f")]]),
+         "depths": make_table(["agent", *DEPTHS], [
+             [_title(agent), *(f"{deep[agent, kind]:.2f}" if (agent, kind) in deep else "" for kind in DEPTHS)]
+             for agent in dict.fromkeys(agent for agent, _ in depths)]),
+         "transfer": make_table(["", *(f"`{target}`" for target in TRANSFER)], [
+             *([f"trained in `{source}`", *(f"{learned[source, target]:.2f}" for target in TRANSFER)]
+               for source in TRANSFER),
+             ["search baseline", *(f"{search[target]:.2f}" for target in TRANSFER)],
+             ["Bayes planner", *(f"{bayes[target]:.2f}" for target in TRANSFER)]])},
+        {"generalisation": lambda theme: draw(cells, means, theme)})
+
+
+def _group(lines: Any) -> dict[tuple[str, Any], dict[int, float]]:
+    cells: dict[tuple[str, Any], dict[int, float]] = {}
+    for agent, key, seed, value in lines:
+        cells.setdefault((agent, key), {})[seed] = value
     return cells
 
 
-def _describe_both(lines: Sequence[BaselineRun]) -> dict[str, Any]:
-    """Numbers of the runs that are told, all of one rung or of the part `depth`.
-
-    Besides, those of learners from many rooms at once, and those of all others; None where there are none.
-    """
-    parts = dict(zip(("at_once", "alone"), split_at_once(lines), strict=True))
-    return _describe(prefer_at_once(lines)) | {name: _describe(own) if own else None for name, own in parts.items()}
+def _title(agent: str) -> str:
+    return NAMES[agent] if agent in NAMES else AgentSpec.parse(agent).title
 
 
-def _describe(lines: Sequence[BaselineRun]) -> dict[str, Any]:
-    cells = Counter((line.agent, line.rung, line.rooms) for line in lines if line.primitives)
-    return {
-        "count": len(lines), "fewest": min(cells.values(), default=0), "most": max(cells.values(), default=0),
-        "budgets": sorted({line.primitives for line in lines if line.primitives}),
-        "episodes": max(line.episodes for line in lines), "runs": 1 + max(line.seed for line in lines),
-        "primitives": max(line.primitives for line in lines), "rooms": lines[0].episodes,
-    }
+def _format(means: Mapping[tuple[str, int], float], seen: Cells, agent: str, count: int) -> str:
+    if (agent, count) not in means:
+        return ""
+    known = seen.get((agent, count))
+    return f"{means[agent, count]:.2f}" + (f" ({np.mean([*known.values()]):.2f})" if known else "")
 
 
-def _summarise(lines: Sequence[BaselineRun]) -> dict[str, dict[int, float]]:
-    """Efficiency of each learner, by name, with the fewest and the most training rooms."""
-    found = {}
-    for agent, name in NAMES.items():
-        own = [line for line in lines if line.agent == agent]
-        counts = sorted(map(_count_rooms, own))
-        if own:
-            found[name] = {count: _average([line.efficiency for line in own if _count_rooms(line) == count])
-                           for count in (counts[0], counts[-1])}
-    return found
-
-
-def _tabulate_sizes(lines: Sequence[BaselineRun]) -> str:
-    counts = sorted(set(map(_count_rooms, lines)))
-    agents = {line.agent for line in lines}
-    rows = []
-    for agent in [*(agent for agent in NAMES if agent in agents), *sorted(agents - set(NAMES))]:
-        cells = []
-        for count in counts:
-            own = [line for line in lines if line.agent == agent and _count_rooms(line) == count]
-            seen = [line.seen for line in own if line.seen is not None]
-            cells.append(_format_cell(own) + (f" ({_average(seen):.2f})" if seen else ""))
-        rows.append([f"`{agent}`", *cells])
-    return make_table(["agent", *(f"{count:,}" for count in counts)], rows)
-
-
-def _tabulate_depths(lines: Sequence[BaselineRun]) -> str:
-    rows = []
-    for agent in dict.fromkeys(line.agent for line in lines):
-        own = [line for line in lines if line.agent == agent]
-        seen = [line.seen for line in own if line.seen is not None]
-        rows.append([f"`{agent}`", *(_format_cell([line for line in own if line.rung == name]) for name in DEPTHS),
-                     f"{_average(seen):.2f}" if seen else "-"])
-    return make_table(["agent", *DEPTHS, "rooms trained in"], rows)
-
-
-def _format_cell(lines: Sequence[BaselineRun]) -> str:
-    """Mean efficiency in unseen rooms, bold where it is of many seeds."""
-    mean = f"{_average([line.efficiency for line in lines]):.2f}"
-    return "-" if not lines else f"**{mean}**" if len(lines) >= LEAST_RUNS else mean
-
-
-def draw_sizes(rungs: Mapping[str, Sequence[BaselineRun]]) -> Figure:
-    """Efficiency against training rooms, a panel a rung, from the runs of each.
-
-    Solid in unseen rooms, dotted in rooms trained in; dots are runs, those of different agents side by side.
-    """
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(2.8 + 3.6 * len(rungs), 3.6), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(1, len(rungs), squeeze=False)[0]
-        for axes, (rung, lines) in zip(panels, rungs.items(), strict=True):
-            _draw_panel(axes, lines)
-            axes.set_title(rung, fontsize=9, color=palette.INK)
-        panels[0].set_ylabel("efficiency", color=palette.INK)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside right center", fontsize=8, frameon=False)
-    return figure
-
-
-def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
-    """Curves of one rung."""
-    agents = [agent for agent in NAMES if any(line.agent == agent for line in lines)]
-    for number, agent in enumerate(agents):
-        own = [line for line in lines if line.agent == agent]
-        counts = sorted(set(map(_count_rooms, own)))
-        unseen = [_average([line.efficiency for line in own if _count_rooms(line) == count]) for count in counts]
-        seen = [_average([line.seen or 0.0 for line in own if _count_rooms(line) == count]) for count in counts]
-        axes.plot(counts, unseen, color=_COLOURS[agent], marker="o", markersize=4, linewidth=1.5, label=NAMES[agent])
-        axes.plot(counts, seen, color=_COLOURS[agent], linestyle=":", linewidth=1)
-        shift = 1.1 ** (number - (len(agents) - 1) / 2)
-        axes.scatter([shift * _count_rooms(line) for line in own], [line.efficiency for line in own],
-                     color=_COLOURS[agent], s=8, alpha=0.5, linewidths=0)
-    beside = {CHANCE: "options, at random"} | SEARCH_BASELINES | CEILING
-    for (agent, name), style in zip(beside.items(), ("--", "-.", ":", "-"), strict=True):
-        values = [line.efficiency for line in lines if line.agent == agent]
-        if values:
-            axes.axhline(_average(values), color=palette.MUTED, linestyle=style, linewidth=1, label=name)
-    axes.set_xscale("log")
-    axes.set_ylim(-0.03, 1.03)
-    axes.set_xlabel("training rooms", color=palette.INK)
-    finish_axes(axes)
-    counts = sorted(set(map(_count_rooms, lines)))
-    axes.set_xticks(counts, [f"{count:,}" for count in counts])
-    axes.minorticks_off()
+def _read_source(line: BaselineRun) -> str:
+    """Rung that a run was trained in."""
+    return line.rooms.split("/train")[0].rpartition("/")[2]
 
 
 def _count_rooms(line: BaselineRun) -> int:
@@ -275,5 +211,27 @@ def _count_rooms(line: BaselineRun) -> int:
     return int(found[1])
 
 
-def _average(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")
+def draw(cells: Cells, means: Mapping[tuple[str, int], float], theme: Theme) -> Figure:
+    """Draw the efficiency in unseen rooms against the number of training rooms; dots are runs."""
+    heights = {MEMORY: 0.73, OBJECTS: 0.36}
+
+    def draw_axes(axes: Axes) -> None:
+        for agent, name, colour in zip(NAMES, NAMES.values(), (theme.lines[3], theme.lines[2], theme.lines[1],
+                                                               theme.lines[0]), strict=True):
+            own = {count: middle for (other, count), middle in sorted(means.items()) if other == agent}
+            for count in own:
+                runs = [*cells[agent, count].values()]
+                axes.plot([count] * len(runs), runs, ".", color=colour, alpha=0.35, markersize=5)
+            axes.plot(list(own), list(own.values()), "o-", color=colour, linewidth=2.2, markersize=4)
+            place = (max(own) / 1.2, 0.04) if len(own) == 1 else (5 if agent == MEMORY else 1.15,
+                                                                  heights.get(agent, 0.07))
+            write_label(axes, *place, name, colour, ha="right" if len(own) == 1 else "left")
+        search = max(means[agent, count] for agent, count in means if agent in SEARCH_BASELINES)
+        axes.axhline(search, color=theme.muted, linestyle="--", linewidth=1.6)
+        write_label(axes, 1.15, search + 0.05, "search baseline", theme.muted)
+        counts = sorted({count for _, count in means})
+        axes.set(xscale="log", ylim=(-0.03, 1.0), xlabel="training rooms", ylabel="efficiency in unseen rooms")
+        axes.set_xticks(counts, [f"{count:,}" for count in counts])
+        axes.minorticks_off()
+
+    return make_figure(theme, draw_axes)

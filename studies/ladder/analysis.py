@@ -1,36 +1,27 @@
-"""Baselines of the ladder: tables by protocol, rungs mastered and passed, scores, calibration, sequence of rungs."""
+"""Baselines of the ladder: efficiency by rung, comparisons with the best search baseline, calibration and scores."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from types import SimpleNamespace
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
 from hrl_escape.agents.registry import RANDOM_OPTIONS
-from hrl_escape.agents.spec import BAYES, AgentSpec
-from hrl_escape.benchmark.inference import (
-    ALPHA,
-    compare_pairs,
-    compute_wilson_interval,
-    correct_by_holm,
-)
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.protocols import SEQUENCE, get_budget
 from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
-from hrl_escape.benchmark.reporting.figures import SPARE
 from hrl_escape.benchmark.standings import PASSED_EFFICIENCY, PASSED_RATE, compute_ladder_score
 from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.pictures import palette
-from hrl_escape.names import count_nouns, join_words
 from hrl_escape.sets.benchmark import load_benchmark
-from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON
 from studies.baseline import BaselineRun, compute_run_efficiency
-from studies.figures import FIGURE_STYLE
+from studies.figures import Theme, draw_rows
 from studies.ladder.baselines import (
     GENERALISTS,
     LEARNERS,
@@ -39,26 +30,27 @@ from studies.ladder.baselines import (
     list_missing,
     run_baselines,
 )
-from studies.ladder.calibration import KNOWN, average_rooms, tell_calibration
-from studies.page import make_table
-from studies.statistics import choose_holm_levels, find_visible_difference, tell_power
+from studies.ladder.calibration import KNOWN, Cells, average_rooms, compare_orders, compare_steps
+from studies.statistics import Difference, compare_strata
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["Args", "analyse", "describe", "draw", "group_runs", "measure", "subtract", "tabulate", "tell_bar",
-           "tell_beyond_searching", "tell_blank", "tell_visible"]
+__all__ = ["Args", "Beyond", "analyse", "compare_with_search", "describe", "draw_rungs", "find_blank", "group_runs",
+           "measure", "subtract", "tabulate"]
 
 Args = BaselineArgs
-_Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
-"""Runs of one protocol by rung and agent."""
-NOTHING_BEYOND = (f"Nothing is concluded, as no learner has {LEAST_RUNS} rooms on a rung beside a searcher that learns "
-                  "nothing.")
-MOST_TO_PASS = 35
-"""Runs without a failure that passing takes at least."""
+
+
+class Beyond(NamedTuple):
+    """Difference of a learner from the best search baseline of each rung, over its rungs."""
+
+    found: Difference
+    rungs: int
 
 
 def measure(study: Study, args: BaselineArgs, store: Store) -> None:
-    """Run what is missing, keep the lines, and say what failed and what is left."""
+    """Run what is missing, keep the lines, and print what failed and what is left."""
     found = run_baselines(load_benchmark(study.data["benchmark"]), args)
     store.add(collect_lines(found))
     console = Console(highlight=False, soft_wrap=True)
@@ -68,86 +60,60 @@ def measure(study: Study, args: BaselineArgs, store: Store) -> None:
     console.print(f"{list_missing(found) - len(failures)} runs are left for another time")
 
 
-def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
-    """Values of the page on the benchmark's rungs."""
-    bench = load_benchmark(study.data["benchmark"])
-    return describe(lines, [rung.name for rung in bench],
-                    [rung.name for rung in bench if rung.config.dynamics.is_random])
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
+    """Numbers, tables and the figure of the benchmark's rungs."""
+    return describe(lines, [rung.name for rung in load_benchmark(study.data["benchmark"])])
 
 
-def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collection[str] = ()) -> Page:
-    """Values of the page.
+def describe(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> Findings:
+    """Numbers, tables and the figure.
 
     Args:
         lines: at least one.
         rungs: names of the rungs, in order.
-        noisy: rungs in which moves err.
     """
     lines = sorted(lines, key=lambda line: line.place)
-    sequence = [line for line in lines if line.protocol == SEQUENCE]
-    lines = [line for line in lines if line.protocol != SEQUENCE]
     alone = _part([line for line in lines if line.protocol == "per-instance"])
-    over = group_runs(alone.get("Over options", ()))
-    return Page({
-        "PASSED_RATE": PASSED_RATE, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
-        "SEQUENCE_HORIZON": SEQUENCE_HORIZON,
-        "beyond": tell_beyond_searching(over, rungs), "visible": tell_visible(over, rungs),
-        "advice": tell_bar(over, rungs), "blank": tell_blank(over, rungs),
-        "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
-        "has_three_parents": any("@three-parents" in line.agent for line in lines),
-        "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
-                      if (own := [line for line in lines if line.protocol == name])},
-        "calibration": tell_calibration(group_runs(next(iter(alone.values()))), rungs, noisy) if alone else [],
-        "sequence": _describe_sequence(sequence, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
-    }, {"ladder": draw(over, rungs)} if over else {})
+    over = group_runs(alone.get("options", ()))
+    unseen, sequence = (group_runs([line for line in lines if line.protocol == name]) for name in ("generalise", SEQUENCE))
+    learners = _sort_agents(agent for (_, agent), runs in over.items() if runs[0].primitives)
+    score_rungs, scores = _score(over, rungs)
+    numbers = SimpleNamespace(
+        runs=len(lines), rungs=[rung for rung in rungs if any(place == rung for place, _ in over)],
+        budgets=sorted({line.primitives for line in lines if line.primitives and line.protocol == "per-instance"}),
+        short=[rung for rung in rungs if 0 < max(
+            (line.primitives for line in lines if line.rung == rung), default=0) < get_budget(rung)],
+        means={agent: {rung: compute_run_efficiency(over[rung, agent]) for rung in rungs if (rung, agent) in over}
+               for agent in _sort_agents(agent for _, agent in over)},
+        mastered={agent: [rung for rung in rungs if is_mastered(over.get((rung, agent), ()))] for agent in learners},
+        beyond=compare_with_search(over, rungs), blank=find_blank(over, rungs), steps=compare_steps(over, rungs),
+        orders=compare_orders(over, rungs), score_rungs=score_rungs,
+        unseen=max(map(len, unseen.values()), default=0), sequence=max(map(len, sequence.values()), default=0))
+    tables = {"ladder": tabulate(over, rungs), "ladder_labels": tabulate_labels(over),
+              "ladder_beyond": tabulate_beyond(numbers.beyond), "ladder_scores": scores}
+    for name, cells in (("ladder_moves", group_runs(alone.get("primitives", ()))), ("ladder_unseen", unseen),
+                        ("ladder_sequences", sequence)):
+        tables[name] = tabulate(cells, [*rungs, SEQUENCE]) if cells else ""
+    return Findings(numbers, tables, {"ladder": partial(
+        draw_rungs, over, rungs, ["smdp-factored-r-max", "smdp-ppo", "smdp-q-learning"])})
 
 
-def tell_beyond_searching(cells: _Cells, rungs: Sequence[str]) -> str:
-    """The finding: which learners are more efficient than the best searcher that learns nothing, over their rungs.
+def compare_with_search(cells: Cells, rungs: Sequence[str]) -> dict[str, Beyond]:
+    """Compare each learner with the best search baseline of each rung.
 
-    On each rung the searcher that does best there counts; a learner is one test, with rungs as strata and rooms as
-    pairs, and all learners are one family (Holm).
+    A learner is one test, with rungs as strata and rooms as pairs, and all learners are one family (Holm).
     """
-    tests = {agent: (compare_pairs(gains), gains) for agent, gains in _list_gains(cells, rungs).items()}
-    if not tests:
-        return NOTHING_BEYOND
-    raw = [test.p for test, _ in tests.values()]
-    better = [f"`{agent}` ({test.difference:+.2f}, {test.low:+.2f} to {test.high:+.2f}, over "
-              f"{count_nouns(len(gains), 'rung')})" for (agent, (_, gains)), p, level in
-              zip(tests.items(), correct_by_holm(raw), choose_holm_levels(raw), strict=True)
-              if (test := compare_pairs(gains, level)).difference > 0 and p < ALPHA]
-    if not better:
-        return "No learner is shown to beat the best searcher that learns nothing over the rungs that it was run on."
-    return (f"{len(better)} of {len(tests)} learners beat the best searcher that learns nothing: {join_words(better)}.")
+    best, gains = find_best_baselines(cells, rungs), {}
+    for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
+        if own := [gain for rung in rungs if (other := best[rung]) is not None
+                   and len(gain := subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]:
+            gains[agent] = own
+    return {agent: Beyond(found, len(gains[agent]))
+            for agent, found in zip(gains, compare_strata(list(gains.values())), strict=True)}
 
 
-def tell_visible(cells: _Cells, rungs: Sequence[str]) -> str:
-    """A sentence: the gains that these tests would have seen."""
-    every = list(_list_gains(cells, rungs).values())
-    return tell_power([find_visible_difference(gains, ALPHA / len(every)) for gains in every], "a gain of",
-                      "{:.2f}".format)
-
-
-def tell_bar(cells: _Cells, rungs: Sequence[str]) -> str:
-    """Bar for an agent: the best searcher, or where that does worse, whatever else learns nothing."""
-    agents = _sort_agents(agent for _, agent in cells)
-    blind = [agent for agent in agents if not (spec := AgentSpec.parse(agent)).learns and spec.name not in
-             ("oracle", "bayes")]
-    above: dict[str, list[str]] = {}
-    for rung, best in find_best_searchers(cells, rungs).items():
-        known = [agent for agent in blind if (rung, agent) in cells]
-        first = max(known, key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default="")
-        if best and compute_run_efficiency(cells[rung, first]) > compute_run_efficiency(cells[rung, best]):
-            above.setdefault(first, []).append(f"`{rung}`")
-    said = "What your agent has to beat on a rung is the best searcher that learns nothing"
-    if not above:
-        return f"{said}, and not chance or a round in the order of the numbers; its column stands in the table below."
-    others = join_words(f"`{agent}`, which does better there, on {join_words(own)}" for agent, own in above.items())
-    return f"{said}, and {others}; the columns stand in the table below."
-
-
-def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
-    """A sentence a learner whose episodes after training are those of random options, room by room and one by one."""
+def find_blank(cells: Cells, rungs: Sequence[str]) -> dict[str, list[str]]:
+    """Learners whose episodes after training equal those of random options, room by room, and the rungs."""
     def list_ends(rung: str, agent: str) -> dict[tuple[str, int], tuple[float, float]]:
         return {(run.rooms, run.seed): (run.efficiency, run.escapes) for run in cells.get((rung, agent), ())}
 
@@ -159,28 +125,17 @@ def tell_blank(cells: _Cells, rungs: Sequence[str]) -> list[str]:
             own = list_ends(rung, agent)
             if len(own) >= LEAST_RUNS and any(escapes for _, escapes in own.values()) and all(
                     blind.get(place) == end for place, end in own.items()):
-                found.setdefault(agent, []).append(f"`{rung}`")
-    return [f"`{agent}` has no model on {join_words(own)}: after training it plays every episode as `{chance}` does."
-            for agent, own in found.items()]
+                found.setdefault(agent, []).append(rung)
+    return found
 
 
-def find_best_searchers(cells: _Cells, rungs: Sequence[str]) -> dict[str, str | None]:
-    """The searcher that does best on each rung, of equal ones the first whatever the order of a set; None without."""
+def find_best_baselines(cells: Cells, rungs: Sequence[str]) -> dict[str, str | None]:
+    """The most efficient search baseline of each rung, of equal ones the first by name; None without."""
     agents = _sort_agents(agent for _, agent in cells)
-    searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
-    return {rung: max((agent for agent in searchers if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
+    baselines = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
+    return {rung: max((agent for agent in baselines if len(cells.get((rung, agent), ())) >= LEAST_RUNS),
                       key=lambda agent, rung=rung: compute_run_efficiency(cells[rung, agent]), default=None)
             for rung in rungs}
-
-
-def _list_gains(cells: _Cells, rungs: Sequence[str]) -> dict[str, list[NDArray[np.float64]]]:
-    """Differences of each learner from the best searcher, room by room on each rung where both have enough."""
-    best, found = find_best_searchers(cells, rungs), {}
-    for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives):
-        if gains := [gain for rung in rungs if (other := best[rung]) is not None
-                     and len(gain := subtract(cells.get((rung, agent), ()), cells[rung, other])) >= LEAST_RUNS]:
-            found[agent] = gains
-    return found
 
 
 def subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDArray[np.float64]:
@@ -189,74 +144,27 @@ def subtract(runs: Sequence[BaselineRun], others: Sequence[BaselineRun]) -> NDAr
     return np.array([ours[room] - theirs[room] for room in sorted(ours.keys() & theirs.keys())])
 
 
-def draw(cells: _Cells, rungs: Sequence[str]) -> Figure:
-    """Efficiency of agents over options rung by rung; the best searcher black, chance and rounds grey."""
-    agents = _sort_agents(agent for _, agent in cells)
+def draw_rungs(cells: Cells, rungs: Sequence[str], learners: Sequence[str], theme: Theme) -> Figure:
+    """Efficiency of learners and of the best search baseline by rung."""
     shown = [rung for rung in rungs if any(place == rung for place, _ in cells)]
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(9.2, 4.0), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.subplots()
-        colours = iter((*palette.LINES, *SPARE))
-        searched = np.full(len(shown), np.nan)
-        for agent in agents:
-            spec = AgentSpec.parse(agent)
-            values = np.array([compute_run_efficiency(cells[rung, agent]) if (rung, agent) in cells else np.nan
-                               for rung in shown])
-            if spec.name in SEARCH_BASELINES:
-                searched = np.fmax(searched, values)
-            elif spec.name == BAYES:
-                axes.plot(shown, values, ":", color=palette.INK, linewidth=1.3, label="told how rooms are drawn")
-            elif spec.learns:
-                axes.plot(shown, values, "o-", markersize=4, linewidth=1.3, color=next(colours),
-                          label=agent)
-            elif spec.algorithm == "random":
-                axes.plot(shown, values, "--", color=palette.MUTED, linewidth=1.3, label="random options")
-        axes.plot(shown, searched, color=palette.INK, linewidth=2.2, label="best searcher without learning")
-        axes.set_ylim(-0.03, 1.03)
-        axes.set_ylabel("efficiency", color=palette.INK)
-        axes.grid(axis="y", color="#e5dfd2", linewidth=0.8)
-        axes.tick_params(axis="x", rotation=60)
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
-    return figure
-
-
-def _describe_protocol(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> dict[str, Any]:
-    """Budgets of one protocol, and a part for each kind of choices."""
-    short = [f"`{rung}` ({get_budget(rung):,})" for rung in rungs
-             if 0 < max((line.primitives for line in lines if line.rung == rung), default=0) < get_budget(rung)]
-    parts = {}
-    for title, part in _part(lines).items():
-        cells = group_runs(part)
-        fewest = min(cells.values(), key=len)
-        parts[title] = {
-            "table": tabulate(cells, rungs), "highest": _tabulate_highest(cells, rungs),
-            "few": len(fewest) if len(fewest) < MOST_TO_PASS and fewest[0].protocol == "per-instance" else None,
-            "scores": _score(cells, rungs),
-        }
-    return {"budgets": sorted({line.primitives for line in lines if line.primitives}),
-            "episodes": sorted({line.episodes for line in lines}), "short": short, "parts": parts}
-
-
-def _find_mastery(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> dict[str, Any]:
-    """The highest rung that a learner masters, and who does; else whether any learner has runs enough on one."""
-    cells = group_runs([line for line in lines if line.protocol == "per-instance"] or lines)
-    learners = {agent: _find_highest(cells, agent, rungs)
-                for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives)}
-    top = max((rung for rung in learners.values() if rung is not None), key=list(rungs).index, default=None)
-    return {"rung": top, "agents": [agent for agent, rung in learners.items() if rung == top],
-            "has_runs": any(len(cells.get((rung, agent), ())) >= LEAST_RUNS for agent in learners for rung in rungs)}
+    best = {rung: agent for rung, agent in find_best_baselines(cells, shown).items() if agent}
+    return draw_rows(shown, [
+        *((AgentSpec.parse(agent).title, {rung: compute_run_efficiency(cells[rung, agent]) for rung in shown
+                                          if (rung, agent) in cells}) for agent in learners),
+        ("best search baseline", {rung: compute_run_efficiency(cells[rung, agent]) for rung, agent in best.items()}),
+    ], "efficiency after training", theme)
 
 
 def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
-    """Lines by what their agents choose among: tables are of agents that have the same choices."""
-    parts: dict[str, list[BaselineRun]] = {"Over options": [], "Over primitives": []}
+    """Lines by what their agents choose among: tables compare agents with the same choices."""
+    parts: dict[str, list[BaselineRun]] = {"options": [], "primitives": []}
     for line in lines:
         has_options = line.agent == KNOWN or AgentSpec.parse(line.agent).chooses_options
-        parts["Over options" if has_options else "Over primitives"].append(line)
+        parts["options" if has_options else "primitives"].append(line)
     return {title: part for title, part in parts.items() if part}
 
 
-def group_runs(lines: Sequence[BaselineRun]) -> _Cells:
+def group_runs(lines: Sequence[BaselineRun]) -> Cells:
     """Runs by rung and agent, of several budgets those of the largest; agents in the order of the baselines."""
     cells: dict[tuple[str, str], list[BaselineRun]] = {}
     agents = _sort_agents(line.agent for line in lines)
@@ -272,28 +180,11 @@ def _sort_agents(agents: Iterable[str]) -> list[str]:
     return sorted(set(agents), key=lambda agent: (known.index(agent) if agent in known else len(known), agent))
 
 
-def _list_options(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
-    """Options of commands that make at least these runs, for each protocol, kind of choices and budget."""
-    commands, parts = [], _part(lines)
-    kinds = {(line.protocol, title, line.primitives) for title, part in parts.items() for line in part}
-    for protocol, title, budget in sorted(kinds):
-        own = [line for line in parts[title] if (line.protocol, line.primitives) == (protocol, budget)]
-        there = [rung for rung in rungs if any(line.rung == rung for line in own)]
-        rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in there)
-        episodes = max(line.episodes for line in own)
-        words = ["--protocol", protocol, "--rung", *there, "--agents",
-                 *_sort_agents(line.agent for line in own), "--runs", str(1 + max(line.seed for line in own))]
-        words += ["--rooms", str(rooms), "--eval-episodes", str(episodes)] if protocol == "per-instance" else [
-            "--rooms", str(episodes)]
-        commands.append(" ".join([*words, *(["--primitives", str(budget)] if budget else [])]))
-    return commands
-
-
-def tabulate(cells: _Cells, rungs: Sequence[str]) -> str:
+def tabulate(cells: Cells, rungs: Sequence[str]) -> str:
     """Efficiency, a row a rung and a column an agent; bold where it is mastered."""
     agents = _sort_agents(agent for _, agent in cells)
     rows = [(rung, [cells.get((rung, agent), ()) for agent in agents]) for rung in rungs]
-    return make_table(["rung", *(f"`{agent}`" for agent in agents)],
+    return make_table(["rung", *(AgentSpec.parse(agent).title for agent in agents)],
                       [[f"`{rung}`", *map(_format_cell, row)] for rung, row in rows if any(row)])
 
 
@@ -301,54 +192,41 @@ def _format_cell(runs: Sequence[BaselineRun]) -> str:
     if not runs:
         return "-"
     text = f"{compute_run_efficiency(runs):.2f}"
-    return f"{f'**{text}**' if _is_mastered(runs) else text} ({len(runs)})"
+    return f"{f'**{text}**' if is_mastered(runs) else text} ({len(runs)})"
 
 
-def _is_shown(runs: Sequence[BaselineRun]) -> bool:
-    """Return whether so many runs pass that it is said."""
-    return len(runs) >= LEAST_RUNS and _is_mastered(runs)
-
-
-def _is_mastered(runs: Sequence[BaselineRun]) -> bool:
-    """Return whether the numbers themselves pass, however few they are."""
-    return (float(np.mean([run.escapes for run in runs])) >= PASSED_RATE
+def is_mastered(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether so many episodes escape, and so efficiently, that a rung counts as mastered; no runs do not."""
+    return bool(runs) and (float(np.mean([run.escapes for run in runs])) >= PASSED_RATE
             and compute_run_efficiency(runs) >= PASSED_EFFICIENCY)
 
 
-def _is_passed(runs: Sequence[BaselineRun]) -> bool:
-    """Return whether so many runs are enough to be sure; episodes in one room are one try."""
-    tries = len(runs) if runs[0].protocol == "per-instance" else sum(run.episodes for run in runs)
-    low, _ = compute_wilson_interval(float(np.mean([run.escapes for run in runs])), tries)
-    return _is_mastered(runs) and float(low) >= PASSED_RATE
+def tabulate_labels(cells: Cells) -> str:
+    """Display name and label of each agent."""
+    return make_table(["agent", "label"], [[AgentSpec.parse(agent).title, f"`{agent}`"]
+                                           for agent in _sort_agents(agent for _, agent in cells)])
 
 
-def _find_highest(cells: _Cells, agent: str, rungs: Sequence[str]) -> str | None:
-    found = [rung for rung in rungs if _is_shown(cells.get((rung, agent), ()))]
-    return found[-1] if found else None
-
-
-def _tabulate_highest(cells: _Cells, rungs: Sequence[str]) -> str:
+def tabulate_beyond(beyond: Mapping[str, Beyond]) -> str:
+    """Differences from the best search baseline; bold where they are significant."""
     rows = []
-    for agent in _sort_agents(agent for _, agent in cells):
-        sure = [rung for rung in rungs if (runs := cells.get((rung, agent))) and _is_passed(runs)]
-        rows.append([f"`{agent}`", _find_highest(cells, agent, rungs) or "none", sure[-1] if sure else "none"])
-    return make_table(["agent", f"highest rung mastered, with {LEAST_RUNS} runs or more",
-                       "passed, by Wilson's interval"], rows)
+    for agent, (found, rungs) in beyond.items():
+        text = f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
+        rows.append([AgentSpec.parse(agent).title, rungs, f"**{text}**" if found.sign else text])
+    return make_table(["learner", "rungs", "difference in efficiency"], rows)
 
 
-def _score(cells: _Cells, rungs: Sequence[str]) -> dict[str, Any] | None:
-    """Ladder scores over the rungs and agents that fill the largest table without gaps; None where there is none."""
+def _score(cells: Cells, rungs: Sequence[str]) -> tuple[list[str], str]:
+    """Rungs and agents that fill the largest table without gaps, and a table of their ladder scores."""
     enough = {rung: {agent for (place, agent), runs in cells.items() if place == rung and len(runs) >= LEAST_RUNS}
               for rung in rungs}
     chosen = max(enough.values(), key=lambda chosen: len(chosen) * sum(chosen <= there for there in enough.values()))
-    common = [rung for rung, there in enough.items() if chosen <= there]
-    if not chosen:
-        return None
+    common = [rung for rung, there in enough.items() if chosen and chosen <= there]
     scores = {agent: compute_ladder_score([_split(cells[rung, agent]) for rung in common], np.random.default_rng(0))
               for agent in _sort_agents(chosen)}
-    return {"rungs": common, "table": make_table(["agent", "score", "95 %"], [
-        [f"`{agent}`", f"{score.value:.2f}", f"{score.low:.2f} to {score.high:.2f}"]
-        for agent, score in scores.items()])}
+    return common, make_table(["agent", "score", "95 % interval"], [
+        [AgentSpec.parse(agent).title, f"{score.value:.2f}", f"{score.low:.2f} to {score.high:.2f}"]
+        for agent, score in scores.items()])
 
 
 def _split(runs: Sequence[BaselineRun]) -> list[NDArray[np.float64]]:
@@ -357,27 +235,3 @@ def _split(runs: Sequence[BaselineRun]) -> list[NDArray[np.float64]]:
     for run in runs:
         units.setdefault(run.rooms if run.protocol == "per-instance" else run.seed, []).append(run.efficiency)
     return [np.array(unit) for unit in units.values()]
-
-
-def _describe_sequence(lines: Sequence[BaselineRun], budget: int) -> dict[str, Any] | None:
-    """Values of the section on the sequence; None without a run.
-
-    Args:
-        lines: runs in the sequence.
-        budget: primitives that the protocol itself trains for.
-    """
-    if not lines:
-        return None
-    rows, agents = [], list(dict.fromkeys(line.agent for line in sorted(lines, key=lambda line: -line.efficiency)))
-    for agent in agents:
-        most = max(line.primitives for line in lines if line.agent == agent)
-        runs = [line for line in lines if (line.agent, line.primitives) == (agent, most)]
-        rows.append([f"`{agent}`", len(runs), f"{most:,}", f"{compute_run_efficiency(runs):.2f}",
-                     f"{float(np.mean([run.escapes for run in runs])):.0%}"])
-    return {
-        "floors": max(line.rooms.partition(" > ")[2] for line in lines), "agents": agents, "budget": budget,
-        "episodes": max(line.episodes for line in lines), "trained": max(line.primitives for line in lines),
-        "fewest": min(Counter((line.agent, line.primitives) for line in lines).values()),
-        "runs": 1 + max(line.seed for line in lines),
-        "table": make_table(["agent", "runs", "trained for", "efficiency", "rooms escaped"], rows),
-    }

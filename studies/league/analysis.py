@@ -1,4 +1,4 @@
-"""The league of flat learners: settings chosen by equal trials, then who gets where at which price.
+"""Flat learners with settings chosen by equal trials: primitives to the first escape and to efficient escapes.
 
 A run ends as soon as it is efficient, since what is asked is the price. `dqn` and hindsight have their runs from the
 price of flatness, which are such runs in the same rooms.
@@ -10,21 +10,21 @@ import dataclasses
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from types import SimpleNamespace
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 
-from hrl_escape.benchmark.inference import ALPHA
 from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record
 from studies.buttons.analysis import find_first_escape
-from studies.figures import FIGURE_STYLE, finish_axes
+from studies.figures import Theme, make_figure, write_label
 from studies.flat import (
     FlatArgs,
     FlatJob,
@@ -34,19 +34,18 @@ from studies.flat import (
     list_learners,
     measure_flat_runs,
 )
-from studies.page import make_table
 from studies.price.contestants import CONTESTANTS, sample_replicate_room
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
 from studies.price.runs import PriceRun
-from studies.price.words import tell_factor, tell_number
 from studies.running import open_store
 from studies.statistics import compute_median_interval
 from studies.store import Store
-from studies.study import Page, Study, find_study
+from studies.study import Findings, Study, find_study
+from studies.tables import make_table
+from studies.titles import find_title
 
-__all__ = ["LINES", "Args", "Attempt", "SearcherRun", "advise", "analyse", "choose_candidate", "choose_course",
-           "find_longer", "measure", "read_flat", "read_price", "tell_arrivals", "tell_cheapest", "tell_longer",
-           "tell_privileged", "tell_quickest", "tell_searcher", "tell_untrained"]
+__all__ = ["LINES", "Args", "Attempt", "SearcherRun", "analyse", "choose_candidate", "choose_course", "compare",
+           "count_untrained_escapes", "find_longer", "list_candidates", "measure", "read_flat", "read_price"]
 
 FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
@@ -69,7 +68,7 @@ class Args(FlatArgs):
 
 @dataclasses.dataclass(frozen=True)
 class SearcherRun:
-    """First escape of the searcher that learns nothing.
+    """First escape of the search baseline.
 
     Attributes:
         searcher: name.
@@ -228,11 +227,10 @@ def read_flat(run: FlatRun, levels: Sequence[float]) -> Attempt:
 
 def read_price(run: PriceRun, label: str, levels: Sequence[float]) -> Attempt:
     """A run of the price of flatness, by another label."""
-    costs = {cost.name: cost for cost in COSTS}
-    names = {ESCAPE: "primitives to the first escape", levels[-1]: "primitives to efficiency",
-             **{level: f"primitives to an efficiency of {level:g}" for level in levels[:-1]}}
+    costs = {cost.key: cost for cost in COSTS}
+    keys = {ESCAPE: "escape", levels[0]: "half", levels[-1]: "efficient"}
     return Attempt(label, run.buttons, run.replicate, run.fewest, run.primitives, {
-        level: wait for level, name in names.items() if (wait := costs[name].read(run)) is not None})
+        level: wait for level, key in keys.items() if (wait := costs[key].read(run)) is not None})
 
 
 def choose_course(data: Mapping[str, Any], own: Sequence[Attempt], size: int) -> Course:
@@ -252,7 +250,7 @@ def choose_course(data: Mapping[str, Any], own: Sequence[Attempt], size: int) ->
     return "whole" if any(run.waits[data["efficient"][0]][1] for run in before) else "first escape"
 
 
-# --- sentences -------------------------------------------------------------------------------
+# --- comparisons -----------------------------------------------------------------------------
 
 
 def is_followed(runs: Sequence[Attempt], level: float, budget: int) -> bool:
@@ -279,33 +277,6 @@ def list_times(runs: Sequence[Attempt], level: float) -> list[float]:
     return sorted(run.waits[level][0] if run.waits[level][1] else math.inf for run in runs if level in run.waits)
 
 
-def tell_arrivals(cells: Cells, sizes: Sequence[int], level: float, budget: int) -> str:
-    """The finding: which learners are efficient in half of their runs or more, by number of buttons."""
-    parts = []
-    for size in sizes:
-        asked = sum(buttons == size and len(runs) >= LEAST_RUNS for (_, buttons), runs in cells.items())
-        arrived = [f"`{label}` in {count} of {len(cells[label, size])}"
-                   for label, count in list_arrived(cells, size, level).items()]
-        if asked:
-            parts.append(f"with {count_nouns(size, 'button')} "
-                         + (f"{len(arrived)} of {count_nouns(asked, 'learner')} ({join_words(arrived)})" if arrived else
-                            f"none of {count_nouns(asked, 'learner')}"))
-    if not parts:
-        return f"Nothing is concluded, as no learner has {LEAST_RUNS} runs with any number of buttons."
-    return f"Efficient in half of the runs or more within {budget:,} primitives: {'; '.join(parts)}."
-
-
-def tell_cheapest(cells: Cells, sizes: Sequence[int], level: float) -> list[tuple[str, CostRatio, str]]:
-    """By number of buttons the quickest to be efficient, its ratio to the next one, and that one's label."""
-    found = []
-    for size in sizes:
-        arrived = list(list_arrived(cells, size, level))
-        if len(arrived) > 1:
-            first, second = arrived[:2]
-            found.append((first, compare(cells[second, size], list_waits(cells[first, size], level), level), second))
-    return found
-
-
 def compare(runs: Sequence[Attempt], others: Mapping[tuple[int, int], tuple[float, bool]], level: float) -> CostRatio:
     """Ratios of what runs wait to what others do in the same rooms, with their middle.
 
@@ -321,120 +292,6 @@ def compare(runs: Sequence[Attempt], others: Mapping[tuple[int, int], tuple[floa
                                           for spent, arrived in (run.waits[level], others[run.buttons, run.seed]))
             logs.append((low - most, high - least))
     return CostRatio(runs[0].buttons, dict(enumerate(logs)), find_middle(logs))
-
-
-def list_waits(runs: Sequence[Attempt], level: float) -> dict[tuple[int, int], tuple[float, bool]]:
-    """Waits by buttons and seed."""
-    return {(run.buttons, run.seed): run.waits[level] for run in runs if level in run.waits}
-
-
-def tell_quickest(found: Sequence[tuple[str, CostRatio, str]]) -> str:
-    """A sentence: who is efficient first, and whether that is shown; empty where nobody can be compared."""
-    said: dict[str, list[str]] = {}
-    for first, ratio, second in found:
-        middle = ratio.middle
-        by = "" if math.isinf(middle.high) else f" ({tell_number(middle.low)} to {tell_number(middle.high)})"
-        words = (f"`{first}`, where `{second}` needs {tell_number(middle.factor)}{by} times as many"
-                 if middle.p < ALPHA and middle.low > 1 else
-                 f"`{first}` by its median, which is not shown to be quicker than `{second}`")
-        said.setdefault(words, []).append(str(ratio.buttons))
-    parts = [f"with {join_words(sizes)} button{'' if sizes == ['1'] else 's'} {words}" for words, sizes in said.items()]
-    return f"Efficient after the fewest primitives: {'; '.join(parts)}." if parts else ""
-
-
-def tell_privileged(cells: Cells, labels: Sequence[str], sizes: Sequence[int], level: float) -> str:
-    """A sentence a learner that may do what no other may: in how many runs it is efficient."""
-    told = []
-    for label in labels:
-        shares = [f"{count_arrived(runs, level)} of {len(runs)} with {count_nouns(size, 'button')}" for size in sizes
-                  if (runs := cells.get((label, size), ()))]
-        if shares:
-            told.append(f"With a privilege that no other learner has, `{label}` is efficient in {join_words(shares)}.")
-    return " ".join(told)
-
-
-def tell_searcher(ratios: Mapping[str, CostRatio], searcher: str) -> str:
-    """A sentence: who escapes later or sooner than the searcher, over all rooms that both were run in."""
-    every = {label: ratio for label, ratio in ratios.items() if len(ratio.logs) >= LEAST_RUNS}
-    shown = {label: ratio.middle for label, ratio in every.items() if ratio.middle.p < ALPHA}
-    later, sooner = ([label for label, middle in shown.items() if is_on_side(middle)]
-                     for is_on_side in (lambda middle: middle.low > 1, lambda middle: middle.high < 1))
-    name = f"`{searcher}`, which chooses among planned options and learns nothing"
-    if sooner:
-        verb = "escapes" if len(sooner) == 1 else "escape"
-        return f"Sooner than {name}, {verb} {join_words(f'`{label}`' for label in sooner)}."
-    if not later:
-        return f"No flat learner is shown to escape later or sooner than {name}." if every else ""
-    rooms = max(len(every[label].logs) for label in later)
-    least = min((label for label in later if len(every[label].logs) == rooms),
-                key=lambda label: every[label].middle.factor)
-    middle = every[least].middle
-    who = ("Every flat learner escapes" if len(later) == len(every) else
-           f"{len(later)} of {len(every)} flat learners escape")
-    return (f"{who} later than {name}: the soonest, `{least}`, after {tell_number(middle.factor)} "
-            f"({tell_number(middle.low)} to {tell_number(middle.high)}) times its primitives, over {rooms} rooms.")
-
-
-def tell_untrained(cells: Cells, updates: Mapping[str, int]) -> str:
-    """Sentences on learners half of whose first escapes or more come before their first update.
-
-    Args:
-        cells: all runs.
-        updates: label -> primitives before its first update; 0 where that is soon.
-    """
-    told = []
-    for label, update in updates.items():
-        ends = [run.waits[ESCAPE][0] for (name, _), runs in cells.items() if name == label for run in runs
-                if run.waits.get(ESCAPE, (0.0, False))[1]]
-        early = sum(end <= update for end in ends)
-        if ends and 2 * early >= len(ends):
-            told.append(f"Of the {len(ends)} first escapes of `{label}` {early} come before its first update, after "
-                        f"{update:,} primitives: they are those of an untrained policy.")
-    return " ".join(told)
-
-
-def tell_longer(before: Mapping[str, Sequence[Attempt]], after: Mapping[str, Sequence[Attempt]], level: float,
-                budget: int) -> str:
-    """A sentence: how many runs are efficient with more primitives, of learners that were not.
-
-    Args:
-        before: runs of each learner within the league's budget, with some number of buttons.
-        after: runs in the same rooms with `budget`; too few of a learner are left out.
-        level: efficiency.
-        budget: primitives.
-    """
-    told = [f"`{label}` in {count_arrived(runs, level)} of {len(runs)} with "
-            f"{count_nouns(runs[0].buttons, 'button')} ({count_arrived(before[label], level)} before)"
-            for label, runs in after.items() if len(runs) >= LEAST_RUNS]
-    return f"Within {budget:,} primitives, efficient are {join_words(told)}." if told else ""
-
-
-def advise(cells: Cells, sizes: Sequence[int], levels: Sequence[float], budget: int) -> str:
-    """Advice to a user, by how far flat learners got."""
-    by_size = {size: list_arrived(cells, size, levels[-1]) for size in sizes
-               if any(buttons == size for _, buttons in cells)}
-    far = [size for size, arrived in by_size.items() if arrived]
-    idle: dict[int, list[str]] = {}
-    for (label, size), runs in sorted(cells.items()):
-        if (len(runs) >= LEAST_RUNS and count_arrived(runs, ESCAPE) == len(runs)
-                and is_followed(runs, levels[0], budget) and not count_arrived(runs, levels[0])):
-            idle.setdefault(size, []).append(f"`{label}`")
-    said = []
-    if far:
-        best = next(iter(by_size[far[-1]]))
-        said.append(f"If you must learn over primitives, begin with `{best}`, the quickest to be efficient with "
-                    f"{count_nouns(far[-1], 'button')}")
-        if beyond := [size for size in by_size if size > far[-1]]:
-            said[-1] += f"; with {count_nouns(beyond[0], 'button')} {budget:,} primitives were not enough, so give "
-            said[-1] += "it options"
-    elif by_size:
-        said.append("Give a learner options before you give it a larger budget: none over primitives became efficient")
-    if idle:
-        who = join_words([f"{join_words(labels)} with {count_nouns(size, 'button')}"
-                          for size, labels in sorted(idle.items())])
-        said.append(f"An escape in training is not yet learning: {who} escaped in every run, and reached an efficiency "
-                    f"of {levels[0]:g} in none within {budget:,} primitives")
-    return " ".join(f"{sentence}." for sentence in said)
 
 
 # --- page ------------------------------------------------------------------------------------
@@ -459,62 +316,69 @@ def gather(study: Study, lines: Sequence[Any]) -> dict[tuple[str, int], list[Att
     return cells
 
 
-def analyse(study: Study, lines: Sequence[Any]) -> Page:
-    """Sentences, tables and figure of the league's runs, and the record of the trials."""
+def analyse(study: Study, lines: Sequence[Any]) -> Findings:
+    """Counts of efficient runs, first escapes against the search baseline as one family, tables and the figure."""
     data = study.data
     sizes, budget, levels, searcher = data["sizes"], data["budget"], data["efficient"], data["searcher"]
     labels = [table["label"] for table in data["learners"]]
     privileged = [table["label"] for table in data["learners"] if table.get("privileged")]
     cells = gather(study, lines)
-    plain = {place: runs for place, runs in cells.items() if place[0] not in privileged}
     searched = {(line.buttons, line.seed): (float(line.escaped_at or budget), line.escaped_at is not None)
                 for line in lines if isinstance(line, SearcherRun) and line.searcher == searcher}
     followed = {label: own for label in labels if (own := [
         run for size in sizes if is_followed(cells.get((label, size), ()), ESCAPE, budget)
         for run in cells[label, size]])}
-    ratios = {label: compare(own, searched, ESCAPE) for label, own in followed.items()}
-    quickest = tell_cheapest(plain, sizes, levels[-1])
-    (pooled, first), _ = correct_prices([list(ratios.values()), [ratio for _, ratio, _ in quickest]])
-    ratios = dict(zip(ratios, pooled, strict=True))
-    quickest = [(label, ratio, second) for (label, _, second), ratio in zip(quickest, first, strict=True)]
+    (pooled,), _ = correct_prices([[compare(own, searched, ESCAPE) for own in followed.values()]])
+    ratios = dict(zip(followed, pooled, strict=True))
     chosen = {label: choose_candidate(study, lines, label) for label in dict.fromkeys(name for name, _ in cells)}
-    headline = tell_arrivals(plain, sizes, levels[-1], budget)
     trials = [run for run in lines if isinstance(run, FlatRun) and run.agent not in labels]
-    events = {ESCAPE: "the first escape", **{level: f"an efficiency of {level:g}" for level in levels}}
-    longer = {label: (size, [read_flat(run, levels) for run in list_own(study, lines, label, data["longer"]["budget"])])
-              for label, size in find_longer(study, cells).items()}
-    sentences = list(filter(None, [
-        tell_quickest(quickest), tell_privileged(cells, privileged, sizes, levels[-1]),
-        tell_searcher({label: ratio for label, ratio in ratios.items() if label not in privileged}, searcher),
-        tell_untrained(cells, {label: count_untrained(learner) for label, learner in chosen.items()}),
-        tell_longer({label: cells[label, size] for label, (size, _) in longer.items()},
-                    {label: runs for label, (_, runs) in longer.items()}, levels[-1], data["longer"]["budget"])]))
-    return Page({
-        "headline": headline, "sentences": sentences, "advice": advise(plain, sizes, levels, budget),
-        "tables": [make_table([f"primitives to {event}", *(count_nouns(size, "button") for size in sizes)], [
-            *([f"`{label}`", *(_describe(cells.get((label, size), ()), level, budget) for size in sizes)]
+    longer = {label: [read_flat(run, levels) for run in list_own(study, lines, label, data["longer"]["budget"])]
+              for label in find_longer(study, cells)}
+    numbers = SimpleNamespace(
+        budget=budget, trials=len(trials), minutes=sum(run.seconds for run in lines if isinstance(run, FlatRun)) / 60,
+        efficient={place: (count_arrived(runs, levels[-1]), len(runs)) for place, runs in cells.items()
+                   if place[0] not in privileged},
+        searched={size: float(np.median([at for (buttons, _), (at, _) in searched.items() if buttons == size]))
+                  for size in sizes if any(buttons == size for buttons, _ in searched)},
+        later={label: ratio.middle for label, ratio in ratios.items() if label not in privileged},
+        untrained={label: count_untrained_escapes(cells, label, count_untrained(learner))
+                   for label, learner in chosen.items()},
+        longer={label: (count_arrived(runs, levels[-1]), len(runs)) for label, runs in longer.items() if runs})
+    buttons = [count_nouns(size, "button") for size in sizes]
+    events = [("escape", ESCAPE, "the first escape"), *((key, level, f"an efficiency of {level:g}") for key, level in
+              zip(("half", "efficient"), levels, strict=True))]
+    return Findings(numbers, {
+        **{f"league_{key}": make_table([f"primitives to {event}", *buttons], [
+            *([find_title(label), *(_describe(cells.get((label, size), ()), level, budget) for size in sizes)]
               for label in labels if any((label, size) in cells for size in sizes)),
-            *([[f"`{searcher}`", *(_describe_times([at for (buttons, _), (at, _) in searched.items()
-                                                    if buttons == size]) for size in sizes)]]
-              if level == ESCAPE else []),
-            *([["the planner", *(_describe_times(sorted(find_fewest(cells, size).values())) for size in sizes)]]
-              if level == ESCAPE else [])]) for level, event in events.items()],
-        "prices": make_table(["learner", "rooms", "all rooms", *(count_nouns(size, "button") for size in sizes)], [
-            [f"`{label}`", len(ratios[label].logs), tell_factor(ratios[label].middle),
-             *(tell_factor(compare(own, searched, ESCAPE).middle) if (own := [
+            *([[find_title(searcher), *(_describe_times([at for (buttons, _), (at, _) in searched.items()
+                                                         if buttons == size]) for size in sizes)],
+               ["best known plan", *(_describe_times(sorted(find_fewest(cells, size).values())) for size in sizes)]]
+              if level == ESCAPE else [])]) for key, level, event in events},
+        "league_later": make_table(["learner", "rooms", "all rooms", *buttons], [
+            [find_title(label), len(ratios[label].logs), ratios[label].middle,
+             *(compare(own, searched, ESCAPE).middle if (own := [
                  run for run in followed[label] if run.buttons == size]) else "-" for size in sizes)]
             for label in followed]),
-        "left": tell_left(study, cells), "budget": budget, "trials": make_table(
+        "league_left": make_table(["not whole runs", "learners"], list_left(study, cells)),
+        "league_learners": make_table(["learner", "label", "how it learns"], [
+            [find_title(table["label"]), f"`{table['label']}`", table.get("note", "")] for table in data["learners"]]),
+        "league_trials": make_table(
             ["candidate", "settings", "first escape, mean", "late episodes that escape", "efficiency at the end"],
             [_describe_trial(candidate, [run for run in trials if run.agent == candidate.label])
              for label in labels for candidate in list_candidates(study, label)
              if any(run.agent == candidate.label for run in trials)]),
-        "count": len(trials), "seconds": sum(run.seconds for run in lines if isinstance(run, FlatRun)),
-        "notes": {table["label"]: table["note"] for table in data["learners"] if "note" in table},
-    }, {"league": draw(cells, searched, labels, searcher, sizes, budget, levels[-1])}, [headline, *sentences])
+    }, {"league": partial(draw, cells, searched, searcher, sizes, levels[-1])})
 
 
-def tell_left(study: Study, cells: Cells) -> list[str]:
+def count_untrained_escapes(cells: Cells, label: str, update: int) -> tuple[int, int]:
+    """First escapes of a learner before its first update, after so many primitives, and all of them."""
+    ends = [run.waits[ESCAPE][0] for (name, _), runs in cells.items() if name == label for run in runs
+            if run.waits.get(ESCAPE, (0.0, False))[1]]
+    return sum(end <= update for end in ends), len(ends)
+
+
+def list_left(study: Study, cells: Cells) -> list[list[str]]:
     """Cells that are not whole runs, by reason: by rule, of another study with less budget, or not made yet."""
     data, found = study.data, {}
     for table in data["learners"]:
@@ -534,8 +398,8 @@ def tell_left(study: Study, cells: Cells) -> list[str]:
             reasons.setdefault(reason, []).append(str(size))
         for reason, sizes in reasons.items():
             buttons = "button" if sizes == ["1"] else "buttons"
-            found.setdefault(reason, []).append(f"`{label}` with {join_words(sizes, 'or')} {buttons}")
-    return [f"{reason}: {join_words(names)}" for reason, names in found.items() if reason]
+            found.setdefault(reason, []).append(f"{find_title(label)} with {join_words(sizes, 'or')} {buttons}")
+    return [[reason, "; ".join(names)] for reason, names in found.items() if reason]
 
 
 def find_fewest(cells: Cells, size: int) -> dict[int, float]:
@@ -544,15 +408,15 @@ def find_fewest(cells: Cells, size: int) -> dict[int, float]:
 
 
 def _describe(runs: Sequence[Attempt], level: float, budget: int) -> str:
-    told = [run for run in runs if level in run.waits]
-    if not told:
-        return "not run" if not runs else "not told"
-    if not is_followed(told, level, budget):
-        most = max(spent for spent, arrived in (run.waits[level] for run in told) if not arrived) if any(
-            not run.waits[level][1] for run in told) else 0
-        return f"{count_arrived(told, level)} of {len(told)}" + (f" within {most:,.0f}" if most else "")
-    share = f"{count_arrived(told, level)} of {len(told)}"
-    return f"{share}; {_describe_times(list_times(told, level))}" if count_arrived(told, level) else share
+    known = [run for run in runs if level in run.waits]
+    if not known:
+        return "not run" if not runs else "not recorded"
+    if not is_followed(known, level, budget):
+        most = max(spent for spent, arrived in (run.waits[level] for run in known) if not arrived) if any(
+            not run.waits[level][1] for run in known) else 0
+        return f"{count_arrived(known, level)} of {len(known)}" + (f" within {most:,.0f}" if most else "")
+    share = f"{count_arrived(known, level)} of {len(known)}"
+    return f"{share}; {_describe_times(list_times(known, level))}" if count_arrived(known, level) else share
 
 
 def _describe_times(times: Sequence[float]) -> str:
@@ -563,38 +427,40 @@ def _describe_times(times: Sequence[float]) -> str:
 
 
 def _describe_trial(candidate: FlatLearner, runs: Sequence[FlatRun]) -> list[Any]:
+    label, _, number = candidate.label.partition(" / ")
     settings = ", ".join(f"{name} = {value}" for name, value in candidate.settings.items())
     late = [share for run in runs for share in run.escapes[-2:] if share is not None]
-    return [candidate.label, settings, f"{np.mean([run.first_escape or run.budget for run in runs]):,.0f}",
+    first = np.mean([run.first_escape or run.budget for run in runs])
+    return [f"{find_title(label)}, {number}", settings, f"{first:,.0f}",
             f"{np.mean(late):.0%}" if late else "", f"{np.mean([run.efficiency for run in runs]):.2f}"]
 
 
-def draw(cells: Cells, searched: Mapping[tuple[int, int], tuple[float, bool]], labels: Sequence[str], searcher: str,
-         sizes: Sequence[int], budget: int, level: float) -> Figure:
-    """First escapes (dots) and efficiency (diamonds) of every run, above searcher and planner; a panel a size."""
-    rows = [*labels, searcher, "planner"]
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(9.6, 1.2 + 0.42 * len(rows)), facecolor=palette.BACKGROUND, layout="constrained")
-        for axes, size in zip(figure.subplots(1, len(sizes), sharey=True, squeeze=False)[0], sizes, strict=True):
-            for at, label in enumerate(rows[::-1]):
+def draw(cells: Cells, searched: Mapping[tuple[int, int], tuple[float, bool]], searcher: str, sizes: Sequence[int],
+         level: float, theme: Theme) -> Figure:
+    """First escapes (lines through circles) and efficient evaluations (diamonds) of every run, against buttons."""
+    shown = {"dqn, patient": (theme.lines[2], 0.02, 1_100), "ppo, novelty": (theme.lines[3], 0.3, 2e6),
+             "archive, moves": (theme.lines[1], 1.2, 9_000), searcher: (theme.lines[0], 0.75, 110)}
+
+    def paint(axes: Axes) -> None:
+        for number, (label, (colour, x, y)) in enumerate(shown.items()):
+            medians = {}
+            for place, size in enumerate(sizes):
+                at = place + 0.1 * (number - 1.5)
                 own = cells.get((label, size), ())
-                known = {searcher: [at for (buttons, _), (at, out) in searched.items() if out and buttons == size],
-                         "planner": list(find_fewest(cells, size).values())}.get(label)
-                marks = [("o", 0.14, list_times(own, ESCAPE)), ("D", -0.14, list_times(own, level))]
-                colour = palette.LINES[at % len(palette.LINES)] if label in labels else palette.INK
-                for mark, shift, times in marks if known is None else [("|", 0.0, known)]:
-                    shown = [time for time in times if math.isfinite(time)]
-                    axes.plot(shown, [at + shift] * len(shown), mark, markersize=4.5 if known is None else 9, alpha=0.6,
-                              markeredgewidth=0 if known is None else 1.2, color=colour)
-                if known is None and not own:
-                    axes.text(0.5, at, "not run", transform=axes.get_yaxis_transform(), color=palette.MUTED,
-                              ha="center", va="center", fontsize=8)
-            finish_axes(axes)
-            axes.set_xscale("log")
-            axes.set_xlim(10, 1.5 * budget)
-            axes.axvline(budget, color=palette.MUTED, linestyle=":", linewidth=1)
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-            axes.set_yticks(range(len(rows)), rows[::-1])
-            axes.set_title(count_nouns(size, "button"), fontsize=9, loc="left", color=palette.INK)
-            axes.set_xlabel("primitives", color=palette.INK)
-    return figure
+                escapes = list_times(own, ESCAPE) if label != searcher else sorted(
+                    end for (buttons, _), (end, _) in searched.items() if buttons == size)
+                for mark, fill, times in (("o", "none", escapes), ("D", colour, list_times(own, level))):
+                    known = [time for time in times if math.isfinite(time)]
+                    axes.plot([at] * len(known), known, mark, markersize=3.5, markerfacecolor=fill,
+                              markeredgecolor=colour, markeredgewidth=0.8, alpha=0.7)
+                if math.isfinite(middle := float(np.median(escapes))):
+                    medians[at] = middle
+            axes.plot(list(medians), list(medians.values()), color=colour, linewidth=2)
+            write_label(axes, x, y, find_title(label), colour)
+        axes.set(yscale="log", ylim=(10, 4e6), xlim=(-0.4, len(sizes) - 0.4), xlabel="buttons in the room",
+                 ylabel="primitives")
+        axes.set_xticks(range(len(sizes)), [str(size) for size in sizes])
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.yaxis.set_minor_locator(NullLocator())
+
+    return make_figure(theme, paint, height=3.9)

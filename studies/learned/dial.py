@@ -1,4 +1,4 @@
-"""Learned options beside planned ones that fail with known probability, in the study of learned hierarchies.
+"""Learned options compared with planned ones that fail with known probability, in the study of learned hierarchies.
 
 Each option is called at the start of an episode to light the goal's button, with all that it needs. The planned one
 knows the graph; the learned ones are the options of agents that learned over planned presses, after several budgets.
@@ -30,8 +30,10 @@ from hrl_escape.options.learned import make_learned_options
 from hrl_escape.options.options_env import OptionsEnv
 from studies.learned.option_dial import DialPlace, measure_option, place_on_dial
 from studies.store import Store
+from studies.tables import make_table
 
-__all__ = ["DialLine", "DialSettings", "conclude_dial", "describe_dial", "measure_dial", "place_lines"]
+__all__ = ["DialLine", "DialSettings", "PlacedOption", "find_best_option", "measure_dial", "place_lines",
+           "tabulate_dial"]
 
 PLANNED = "planned"
 OPTION_SET = "press-with-ancestors"
@@ -168,7 +170,7 @@ def _measure_learned(settings: DialSettings, spec: AgentSpec, instance: RoomInst
     return measure_option(env, max(tried, key=tried.__getitem__), _is_lit(instance), settings.calls, seed=2)
 
 
-# --- words ---------------------------------------------------------------------------------
+# --- findings ------------------------------------------------------------------------------
 
 
 class PlacedOption(NamedTuple):
@@ -209,10 +211,11 @@ def _group(lines: Sequence[DialLine]) -> tuple[dict[float, list[float]], dict[tu
     return curve, learned
 
 
-def conclude_dial(lines: Sequence[DialLine]) -> str:
-    """The best option after all training and after the least, as planned options that fail so often.
+def find_best_option(lines: Sequence[DialLine]) -> tuple[PlacedOption | None, list[str]]:
+    """Best option after all training, and the agents whose options are worth less than one that fails every other time.
 
-    Intervals hold together for the options of all agents after both (Bonferroni), so also for the best of them.
+    Intervals hold together for the options of all agents, so also for the best of them (Bonferroni). None without an
+    agent that has `LEAST_RUNS` runs.
 
     Raises:
         ComparisonError: the lines have no curve, or no learned option.
@@ -223,36 +226,18 @@ def conclude_dial(lines: Sequence[DialLine]) -> str:
     last = max(primitives for _, primitives in learned)
     chosen = {key for key, worth in learned.items() if len(worth) >= LEAST_RUNS and key[1] == last}
     if not chosen:
-        return f"Nothing is concluded, as no agent has {LEAST_RUNS} runs."
-    placed = place_lines(lines, 1 - (1 - LEVEL) / (2 * len(chosen)))
-    settled = [option for option in placed if option[:2] in chosen]
-    best = min(settled, key=lambda option: option.place)
-    early = min((option for option in placed if option.option == best.option), key=lambda option: option.primitives)
-    words = f"After {last:,} primitives the best learned option, of `{best.option}`, is worth a planned one that fails "
-    words += f"{_tell(best.place)} of the time; after {early.primitives:,} it was worth one that fails "
-    words += f"{_tell(early.place)}." if early.runs >= LEAST_RUNS else "so often as too few runs tell."
-    useless = [f"`{option.option}`" for option in settled if option.place.low >= 0.5]
-    return words + (f" Worth less than one that fails every other time: {', '.join(useless)}." if useless else "")
+        return None, []
+    placed = [option for option in place_lines(lines, 1 - (1 - LEVEL) / len(chosen)) if option[:2] in chosen]
+    return (min(placed, key=lambda option: option.place),
+            [option.option for option in placed if option.place.low >= 0.5])
 
 
-def _tell(place: DialPlace) -> str:
-    return f"{place.failure:.0%} ({place.low:.0%} to {place.high:.0%})"
-
-
-def describe_dial(lines: Sequence[DialLine]) -> dict[str, Any]:
-    """Values of the section about options on the dial.
-
-    Raises:
-        ComparisonError: the lines have no curve, or no learned option.
-    """
-    lines = sorted(lines, key=lambda line: line.place)
-    conclusion, placed = conclude_dial(lines), place_lines(lines)
+def tabulate_dial(lines: Sequence[DialLine]) -> str:
+    """Table of all places, by agent and primitives of training."""
+    placed = place_lines(sorted(lines, key=lambda line: line.place))
     budgets = sorted({option.primitives for option in placed})
-    cells = {option[:2]: _tell(option.place) for option in placed}
-    return {
-        "conclusion": conclusion, "option_set": OPTION_SET,
-        "whole": np.mean([line.worth for line in lines if line.failure == 0]),
-        "header": ["option of", *(f"{budget:,}" for budget in budgets)],
-        "rows": [[f"`{name}`", *(cells.get((name, budget), "-") for budget in budgets)]
-                 for name in dict.fromkeys(option.option for option in placed)],
-    }
+    cells = {option[:2]: f"{place.failure:.0%} ({place.low:.0%} to {place.high:.0%})"
+             for option in placed for place in [option.place]}
+    return make_table(["option of", *(f"{budget:,} primitives" for budget in budgets)], [
+        [AgentSpec.parse(name).title, *(cells.get((name, budget), "-") for budget in budgets)]
+        for name in dict.fromkeys(option.option for option in placed)])

@@ -1,40 +1,36 @@
-"""Learning from marks across rooms: a learner with memory, searchers that learn nothing, and who reads the code."""
+"""Learning from cues across rooms: a learner with memory, search baselines and the Bayes planner."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.launching.local import get_fork_server
-from hrl_escape.benchmark.standings import compute_learned_share
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns
 from hrl_escape.sets.benchmark import load_benchmark
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
+from studies.figures import Theme, make_figure, write_label
 from studies.running import StudyArgs
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 from studies.unseen import get_unseen, make_streams, play_agent
 
-__all__ = ["LINES", "Args", "Cells", "MarksRun", "analyse", "gather", "measure", "run_once", "tell", "tell_all"]
+__all__ = ["LINES", "Args", "Cell", "Kind", "MarksRun", "analyse", "gather", "measure", "run_once"]
 
-ALIKE = 0.1
-"""Efficiency within which the control counts as at the searcher's level."""
-COLUMNS = 4
-"""Panels in a row of the figure."""
-RISE, FEW = 0.2, 16
-"""Gain in efficiency that counts as learned across rooms, from so few training rooms to the most."""
+FEW = 16
+"""Training rooms that are compared with the most."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,219 +121,129 @@ def measure(study: Study, args: Args, store: Store) -> None:
 # --- findings --------------------------------------------------------------------------------
 
 
-class Cells(NamedTuple):
-    """Efficiencies that the sentences read.
+class Cell(NamedTuple):
+    """Mean of runs with its 95 % interval (Student's t), which covers training seeds and no other rooms."""
+
+    mean: float
+    low: float
+    high: float
+
+
+class Kind(NamedTuple):
+    """Efficiencies with one kind of cue.
 
     Attributes:
-        told: by number of training rooms, of each run.
-        control: of each run whose marks are shuffled, or places scattered.
-        searcher: of the best searcher that learns nothing, where marks are true.
-        control_searcher: likewise where they are shuffled.
-        ceiling: of who knows the code.
-        kind: of regularity, as `study.toml` has it.
-        less: of each run in the most rooms of the learner with a smaller budget; None where there is none.
+        rung: set of the rooms, with its benchmark.
+        told: by number of training rooms.
+        control: with cues that say nothing.
+        searcher: the best search baseline in the same rooms.
+        control_searcher: likewise with cues that say nothing.
+        ceiling: the Bayes planner, which is given what cues mean.
+        rise: from 16 to 1,000 training rooms, by pairs of seeds.
+        worth: true cues less those that say nothing.
+        less: with the smaller budget; None where there is none.
     """
 
-    told: dict[int, np.ndarray]
-    control: np.ndarray
+    rung: str
+    told: Mapping[int, Cell]
+    control: Cell
     searcher: float
     control_searcher: float
     ceiling: float
-    kind: Mapping[str, Any]
-    less: np.ndarray | None = None
+    rise: Cell
+    worth: Cell
+    less: Cell | None
+
+    @property
+    def most(self) -> Cell:
+        """Efficiency after the most training rooms."""
+        return self.told[max(self.told)]
+
+    @property
+    def share(self) -> float:
+        """Share of the way from the search baseline to the Bayes planner after the most training rooms."""
+        return (self.most.mean - self.searcher) / (self.ceiling - self.searcher)
 
 
-def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Cells]:
-    """Sort lines into cells, by title of the kind of regularity; kinds of which runs are missing are left out.
+def summarise(values: NDArray[np.float64]) -> Cell:
+    """Mean with Student's interval, no narrower than one test episode in a thousand."""
+    mean, error = float(np.mean(values)), max(float(stats.sem(values)), 1e-3)
+    reach = error * float(stats.t.ppf(0.975, len(values) - 1))
+    return Cell(mean, mean - reach, mean + reach)
+
+
+def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Kind]:
+    """Kinds of cues by the set of their rooms.
 
     Raises:
-        ComparisonError: runs of every kind are missing, so that nothing can be said.
+        ComparisonError: runs are missing.
     """
     data = study.data
 
-    def pick(agents: Sequence[str], rung: str, rooms: int) -> np.ndarray:
-        return np.array([line.efficiency for line in sorted(lines, key=lambda line: line.seed)
-                         if line.agent in agents and line.rung == rung and line.rooms == rooms])
+    def pick(agents: Sequence[str], rung: str, rooms: int) -> NDArray[np.float64]:
+        found = np.array([line.efficiency for line in sorted(lines, key=lambda line: line.seed)
+                          if line.agent in agents and line.rung == rung and line.rooms == rooms])
+        if not len(found):
+            raise ComparisonError(f"{rung} has no run of {' or '.join(agents)} with {rooms} training rooms")
+        return found
 
-    found = {}
+    kinds = {}
     for kind in data["kind"]:
         told = {size: pick([kind["learner"]], kind["told"], size) for size in kind["sizes"]}
-        control = pick([kind["learner"]], kind["control"], kind["sizes"][-1])
-        searched = [pick(data["searchers"], kind[rung], 0) for rung in ("told", "control")]
-        ceiling = pick([data["ceiling"]], kind["told"], 0)
-        less = pick([kind["less"]["learner"]], kind["told"], max(told)) if "less" in kind else np.array([])
-        if min(map(len, (*told.values(), control))) >= 2 and all(map(len, (*searched, ceiling))):
-            found[kind["title"]] = Cells(told, control, searched[0].max(), searched[1].max(), ceiling[0],
-                                         kind, less if len(less) >= 2 else None)
-    if not found:
-        raise ComparisonError("two runs of every cell, the searchers and the ceiling are needed to tell of marks")
-    return found
+        most = max(told)
+        control = pick([kind["learner"]], kind["control"], most)
+        searched, shuffled = (float(pick(data["searchers"], kind[rung], 0).max()) for rung in ("told", "control"))
+        worth = stats.ttest_ind(told[most], control, equal_var=False).confidence_interval()
+        less = pick([kind["less"]["learner"]], kind["told"], most) if "less" in kind else None
+        kinds[kind["told"]] = Kind(
+            kind["told"], {size: summarise(values) for size, values in told.items()}, summarise(control), searched,
+            shuffled, float(pick([data["ceiling"]], kind["told"], 0)[0]), summarise(told[most] - told[FEW]),
+            Cell(float(told[most].mean() - control.mean()), float(worth.low), float(worth.high)),
+            None if less is None else summarise(less))
+    return kinds
 
 
-def _bound(values: np.ndarray, level: float = 0.95) -> tuple[float, float, float]:
-    """Mean with Student's interval; no narrower than one test episode in a thousand."""
-    mean, error = float(np.mean(values)), max(float(stats.sem(values)), 1e-3)
-    reach = error * float(stats.t.ppf((1 + level) / 2, len(values) - 1))
-    return mean, mean - reach, mean + reach
+def analyse(study: Study, lines: Sequence[MarksRun]) -> Findings:
+    """Efficiency in unseen rooms with each kind of cue, after few and many training rooms."""
+    kinds, data = gather(study, lines), study.data
+    titles = {kind["told"]: kind["title"] for kind in data["kind"]}
+    sizes = sorted({size for kind in kinds.values() for size in kind.told})
+    rows = [[titles[rung], *(_format(kind.told.get(size)) for size in sizes), _format(kind.less),
+             f"{kind.searcher:.2f}", f"{kind.ceiling:.2f}", f"{kind.share:.0%}"] for rung, kind in kinds.items()]
+    controls = [[titles[rung], _format(kind.control), f"{kind.control_searcher:.2f}",
+                 format_interval(kind.worth, "+.2f"), format_interval(kind.rise, "+.2f")]
+                for rung, kind in kinds.items()]
+    return Findings(SimpleNamespace(kinds=kinds, shares=[kind.share for kind in kinds.values()], data=data), {
+        "cues": make_table(["kind of cue", *(f"{count_nouns(size, 'training room')}" for size in sizes),
+                            "1,000, smaller budget", "search baseline", "Bayes planner", "learned share"], rows),
+        "cue_controls": make_table(["kind of cue", "control", "search baseline in the control",
+                                    "true less control", "1,000 rooms less 16"], controls),
+    }, {"marks": lambda theme: draw(kinds, titles, theme)})
 
 
-def _pair(cells: Cells, size: int) -> np.ndarray:
-    """Gain of each seed that was run in so many rooms and in the most."""
-    few, many = cells.told[size], cells.told[max(cells.told)]
-    return many[: len(few)] - few[: len(many)]
+def _format(cell: Cell | None) -> str:
+    return "" if cell is None else format_interval(cell, ".2f")
 
 
-def tell(cells: Cells) -> list[str]:
-    """Sentences on what the runs show, the headline first."""
-    clue, shuffled = _name_clue(cells.kind)
-    sizes = sorted(cells.told)
-    many = sizes[-1]
-    end, low, high = _bound(cells.told[many])
-    share = compute_learned_share(end, cells.searcher, cells.ceiling)
-    start = f"Trained in {many:,} rooms, the learner has an efficiency of {end:.2f} in rooms that it has never seen"
-    bar = f"the best search baseline ({cells.searcher:.2f})"
-    worth = stats.ttest_ind(cells.told[many], cells.control, equal_var=False).confidence_interval()
-    if low > cells.searcher:
-        headline = f"What {clue} mean is learned across rooms. {start}, above {bar}"
-    else:
-        learned = (f"Some of what {clue} mean is learned, not enough to beat searching." if worth.low > 0 else
-                   f"What {clue} mean is not shown to be learned.")
-        headline = f"{learned} {start}, " + (f"below {bar}" if high < cells.searcher else f"and {bar} is as good")
-    headline += (f"; the Bayes planner has {cells.ceiling:.2f}"
-                 + ("." if share is None else f", so its learned share is {share:.0%}."))
-    sentences = [headline]
-    for size in sizes[:-1]:
-        rise, least, most = _bound(_pair(cells, size))
-        interval = f"{rise:+.2f} ({least:+.2f} to {most:+.2f})"
-        sentences.append(
-            f"From {size:,} to {many:,} training rooms efficiency rises by {interval}." if least > 0 else
-            f"From {size:,} to {many:,} training rooms efficiency falls by {interval}." if most < 0 else
-            f"From {size:,} to {many:,} training rooms no change is shown: {interval}.")
-        mean, _, highest = _bound(cells.told[size])
-        if highest < cells.searcher:
-            sentences.append(
-                f"Trained in {size:,} room{'s' * (size > 1)} it is worse than the searcher, with {mean:.2f}.")
-    if high > cells.ceiling + 0.01:
-        sentences.append(f"The interval of the learner ({low:.2f} to {high:.2f}) reaches above the Bayes planner.")
-    mean, low, high = _bound(cells.control - cells.control_searcher)
-    control = (f"With {clue} {shuffled} the same learner has {np.mean(cells.control):.2f}, where the searcher has "
-               f"{cells.control_searcher:.2f}")
-    sentences.append(
-        f"{control}: {clue} that say nothing lift it above the searcher, so something else carries over."
-        if low > 0 else
-        f"{control}: at the searcher's level." if low > -ALIKE else
-        f"{control}: below the searcher." if high < 0 else f"{control}: the runs differ too much to say more.")
-    sentences.append(f"True {clue} are worth {np.mean(cells.told[many]) - np.mean(cells.control):+.2f} "
-                     f"({worth.low:+.2f} to {worth.high:+.2f}) against {shuffled} ones.")
-    if cells.less is not None:
-        gain = stats.ttest_ind(cells.told[many], cells.less, equal_var=False).confidence_interval()
-        interval = f"{end - np.mean(cells.less):+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"
-        larger, smaller = _describe_training(cells.kind), _describe_training(cells.kind["less"])
-        sentences.append(f"{larger} gains {interval} over {smaller}, which reached "
-                         f"{np.mean(cells.less):.2f}." if gain.low > 0 else
-                         f"{larger} is not shown to gain over {smaller}: {interval}.")
-    return sentences
+def draw(kinds: Mapping[str, Kind], titles: Mapping[str, str], theme: Theme) -> Figure:
+    """Draw a row a kind: after few and many training rooms, with the search baseline and the Bayes planner."""
 
+    def draw_axes(axes: Axes) -> None:
+        for number, kind in enumerate(kinds.values()):
+            few, most = kind.told[FEW], kind.most
+            axes.plot([few.mean, most.mean], [number] * 2, color=theme.lines[1], linewidth=2)
+            axes.plot(few.mean, number, "o", color=theme.lines[1], markersize=7, markerfacecolor="none")
+            axes.plot(most.mean, number, "o", color=theme.lines[1], markersize=7)
+            for value, colour in ((kind.searcher, theme.muted), (kind.ceiling, theme.lines[2])):
+                axes.plot([value] * 2, [number - 0.32, number + 0.32], color=colour, linewidth=2.4)
+        first = next(iter(kinds.values()))
+        write_label(axes, first.searcher, -0.62, "search", theme.muted, ha="center")
+        write_label(axes, first.ceiling, -0.62, "Bayes", theme.lines[2], ha="center")
+        last = [*kinds.values()][-1]
+        row = len(kinds) - 0.45
+        write_label(axes, last.told[FEW].mean, row, "16 rooms", theme.lines[1], ha="center")
+        write_label(axes, last.most.mean, row, "1,000 rooms", theme.lines[1], ha="center")
+        axes.set(xlabel="efficiency in unseen rooms", xlim=(0.25, 1.03), ylim=(row + 0.35, -1))
+        axes.set_yticks(range(len(kinds)), [titles[rung] for rung in kinds])
 
-def _name_clue(kind: Mapping[str, Any]) -> tuple[str, str]:
-    """Name of the clue that tells of the order, and of what is done to it in the control."""
-    return kind.get("clue", "marks"), kind.get("shuffled", "shuffled")
-
-
-def _describe_training(learning: Mapping[str, Any]) -> str:
-    """A learner, its budget and the rooms that it learns from at once."""
-    streams = learning.get("streams", 0)
-    rooms = f"{streams} rooms at once" if streams else "one room at a time"
-    return f"`{learning['learner']}` with {learning['primitives']:,} primitives in {rooms}"
-
-
-def has_risen(cells: Cells) -> bool:
-    """True if runs show a rise by `RISE` from `FEW` rooms to the most, to above the searcher and below the ceiling."""
-    _, least, _ = _bound(_pair(cells, FEW))
-    _, _, high = _bound(cells.told[max(cells.told)])
-    return least >= RISE and is_above(cells) and high < cells.ceiling
-
-
-def is_above(cells: Cells) -> bool:
-    """True if runs in the most rooms are shown to be above the best searcher."""
-    return _bound(cells.told[max(cells.told)])[1] > cells.searcher
-
-
-def tell_all(found: Mapping[str, Cells], tested: int) -> str:
-    """Headline over all kinds: where learners beat searching, and where more rooms are shown to teach more.
-
-    Args:
-        found: cells by title of the kind.
-        tested: number of unseen rooms, the same of all runs, so that intervals are over training seeds alone.
-    """
-    most = max(size for cells in found.values() for size in cells.told)
-    above = sum(map(is_above, found.values()))
-    risen = [title.lower() for title, cells in found.items() if has_risen(cells)]
-    others = [title.lower() for title in found if title.lower() not in risen]
-    beaten = (f"In these {tested} unseen rooms the learner is above the best search baseline in {above} of "
-              f"{len(found)} kinds. Intervals are over training seeds, so they do not cover other rooms. ")
-    claim = (f"efficiency rises by {RISE} or more from {FEW} to {most:,} training rooms, to above the searcher and "
-             "below the Bayes planner")
-    if not risen:
-        return f"{beaten}In none is it shown that {claim}."
-    rest = f"; with {join_words(others)} this is not shown" if others else ""
-    return f"{beaten}With {join_words(risen)} {claim}{rest}."
-
-
-def analyse(study: Study, lines: Sequence[MarksRun]) -> Page:
-    """Sentences, tables and figure."""
-    found, data = gather(study, lines), study.data
-    rows, parts = [], []
-    for kind in (kind for kind in data["kind"] if kind["title"] in found):
-        cells = found[kind["title"]]
-        headline, *sentences = tell(cells)
-        parts.append({**kind, "headline": headline, "sentences": sentences})
-        rows += [[f"{kind['told']}, {size:,} room{'s' * (size > 1)}", *_describe(values, cells.searcher, cells.ceiling)]
-                 for size, values in cells.told.items()]
-        if cells.less is not None:
-            rows.append([f"{kind['told']}, {max(cells.told):,} rooms, smaller budget",
-                         *_describe(cells.less, cells.searcher, cells.ceiling)])
-        rows.append([kind["control"], *_describe(cells.control, cells.control_searcher, None)])
-        rows += [[f"{rung}, {name}", "", f"{value:.3f}", "", ""] for rung, name, value in (
-            (kind["told"], "searcher", cells.searcher), (kind["control"], "searcher", cells.control_searcher),
-            (kind["told"], "Bayes planner", cells.ceiling))]
-    headline = tell_all(found, data["tested"])
-    return Page({"headline": headline, "parts": parts, "table": make_table(
-        ["", "runs", "efficiency in unseen rooms", "runs from ... to", "learned share"], rows), **data},
-        {"marks": draw(found)}, [headline, *(f"{part['title']}: {part['headline']}" for part in parts)])
-
-
-def _describe(values: np.ndarray, searcher: float, ceiling: float | None) -> list[str]:
-    mean, low, high = _bound(values)
-    share = None if ceiling is None else compute_learned_share(mean, searcher, ceiling)
-    return [str(len(values)), f"{mean:.3f} ({low:.3f} to {high:.3f})", f"{values.min():.2f} to {values.max():.2f}",
-            "" if share is None else f"{share:.2f}"]
-
-
-def draw(found: Mapping[str, Cells]) -> Figure:
-    """Efficiency against training rooms, a panel a kind and a dot a run; searcher and ceiling as lines."""
-    with matplotlib.rc_context(FIGURE_STYLE):
-        rows = -(-(len(found) + 1) // COLUMNS)  # the legend has a place of its own
-        figure = Figure(figsize=(2.6 * COLUMNS, 3.0 * rows), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(rows, COLUMNS, sharey=True, squeeze=False).ravel()
-        for axes, (title, cells) in zip(panels, found.items(), strict=False):
-            sizes, last = sorted(cells.told), len(cells.told) - 1
-            for place, values, colour in (*((number, cells.told[size], 0) for number, size in enumerate(sizes)),
-                                          (last + 0.08, cells.control, 1)):
-                axes.scatter([place] * len(values), values, s=14, alpha=0.5, color=palette.LINES[colour], linewidths=0)
-            axes.plot(range(len(sizes)), [cells.told[size].mean() for size in sizes], "o-", color=palette.LINES[0],
-                      label="true marks or places")
-            axes.plot([last + 0.08], [cells.control.mean()], "s", color=palette.LINES[1],
-                      label="marks shuffled, places scattered")
-            axes.axhline(cells.ceiling, color=palette.INK, linewidth=1, label="Bayes planner: is given what they mean")
-            axes.axhline(cells.searcher, color=palette.MUTED, linewidth=1, linestyle="--",
-                         label="best searcher that learns nothing")
-            axes.set(title=title, xlabel="training rooms", ylim=(0, 1.03))
-            finish_axes(axes)
-            axes.set_xticks(range(len(sizes)), [f"{size:,}" for size in sizes])
-        for first in panels[: len(found) : COLUMNS]:
-            first.set_ylabel("efficiency in unseen rooms")
-        for axes in panels[len(found):]:
-            axes.set_axis_off()
-        panels[-1].legend(*panels[0].get_legend_handles_labels(), loc="center", frameon=False)
-    return figure
+    return make_figure(theme, draw_axes, height=3.9, grid="x")

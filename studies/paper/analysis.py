@@ -1,28 +1,24 @@
-"""The paper's figures made anew, its claims one by one, and where these runs part from the published program."""
+"""The experiments of the 2019 paper, replicated: its claims, its figures, and a rerun of the published program."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.benchmark.inference import Estimate, compute_interval
-from hrl_escape.benchmark.reporting.figures import GREYS
+from hrl_escape.benchmark.inference import Estimate
 from hrl_escape.benchmark.statistics import Floats, compute_iqm
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
-from hrl_escape.names import join_words
 from hrl_escape.settings import read_record
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
-from studies.paper.claims import Claim, advise, judge_claims
+from studies.figures import Theme, make_figure, write_label
+from studies.paper.claims import Claim, compare_recipes, judge_claims
 from studies.paper.measures import (
     Measurement,
     Results,
@@ -32,18 +28,15 @@ from studies.paper.measures import (
     measure_slope,
     share_of_training,
 )
-from studies.raw import BINS, OPTIMAL_SCORE, RawRun, collect_runs
-from studies.study import Page, Study
+from studies.raw import BINS, RawRun, collect_runs
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "Rerun", "analyse", "collect", "draw_figure", "list_claims", "tell_chance",
-           "tell_departures"]
+__all__ = ["LINES", "Rerun", "Reruns", "analyse", "collect", "compare_reruns", "list_claims"]
 
 LINES = (RawRun,)
 collect = collect_runs
-APART = 0.25
-"""Difference of shares of episodes from which on the two are said to part."""
-POINTS = 41
-_COLOURS = {"dqn": palette.LINES[0], "sarsa": palette.LINES[1], "ddpg": palette.LINES[2], "random": GREYS[0]}
+TITLES = {"dqn": "DQN", "sarsa": "Deep SARSA", "ddpg": "DDPG", "random": "random"}
 
 
 @dataclass(frozen=True)
@@ -65,13 +58,42 @@ class Rerun:
     note: str = ""
 
 
+@dataclass(frozen=True)
+class Reruns:
+    """The published program and this replication, side by side.
+
+    Attributes:
+        rerun: of the published program.
+        ours: share of escaping episodes in the last fifth, one a run.
+    """
+
+    rerun: Rerun
+    ours: tuple[float, ...]
+
+    @property
+    def gap(self) -> float:
+        """Mean of the replication less that of the program."""
+        return float(np.mean(self.ours) - np.mean(self.rerun.shares))
+
+
 def list_claims(study: Study) -> list[Claim]:
     """Claims, in the order of the page."""
     return [read_record(Claim, table) for table in study.data["claims"]]
 
 
-def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
-    """Claims, departures, numbers and figures of runs.
+def compare_reruns(reruns: Sequence[Rerun], results: Results) -> list[Reruns]:
+    """Compare the published program with the replication, experiment by experiment."""
+    return [Reruns(rerun, tuple(map(_compute_late_share, get_runs(results, rerun.figure, rerun.agent))))
+            for rerun in reruns]
+
+
+def _compute_late_share(run: RawRun) -> float:
+    late = slice(BINS * 4 // 5, BINS)
+    return sum(run.training_successes[late]) / max(sum(run.episodes[late]), 1)
+
+
+def analyse(study: Study, lines: Sequence[RawRun]) -> Findings:
+    """Verdicts on the claims, comparison of settings, and the published program.
 
     Raises:
         ComparisonError: an agent has no runs.
@@ -83,136 +105,111 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Page:
             raise ComparisonError(f"{grid.name} has no run of {', '.join(sorted(missing))}: run it again without "
                                   "--from-raw")
     findings = judge_claims(list_claims(study), results)
-    answers = Counter(finding.kind for finding in findings)
-    rows = [[number, finding.claim.says, f"{finding.claim.measured}: {finding.claim.holds.words}",
-             _list_estimates(finding.paper, finding.claim.unit),
-             _list_estimates(finding.corrected, finding.claim.unit) or "not run", finding.agrees, finding.claim.rerun]
-            for number, finding in enumerate(findings, 1)]
-    parted, alike = tell_departures([read_record(Rerun, table) for table in study.data["reruns"]], results)
-    return Page({
-        "advice": advise(results), "findings": findings, "answers": answers, "OPTIMAL_SCORE": OPTIMAL_SCORE,
-        "APART": APART,
-        "best": [results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
-        "runs": {name: _count_runs(results, name) for name in results}, "parted": parted, "alike": alike,
-        "by_chance": tell_chance([finding.by_chance for finding in findings]),
-        "claims": make_table(["", "the paper says", "measured", "`keras-rl-2019`", "`default`",
-                              "agree?", "published program, rerun"], rows),
-        "numbers": make_table(["figure", "agent", "final score", "slope", "settled", "escapes in training"], [
-            _make_row(results, name, agent) for name in results
-            for agent in dict.fromkeys(run.agent for run in results[name])]),
-    }, {name: draw_figure(runs) for name, runs in results.items()},
-        [f"{number:2} {finding.claim.says} {finding.agrees}" for number, finding in enumerate(findings, 1)])
+    reruns = compare_reruns([read_record(Rerun, table) for table in study.data["reruns"]], results)
+    finals = {(name, agent): measure_final(get_runs(results, name, agent)).estimate() for name in results
+              for agent in dict.fromkeys(run.agent for run in results[name])}
+    return Findings(
+        SimpleNamespace(claims=findings, settings=compare_recipes(results), reruns=reruns, finals=finals,
+                        best=[results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
+                        runs=min(len(get_runs(results, *cell)) for cell in finals)),
+        {"claims": make_table(["", "the paper says", "measured", "2019 settings", "default settings", "verdict",
+                               "published program, rerun"], [
+            [number, found.claim.says, f"{found.claim.measured}: {found.claim.holds.words}",
+             _list_estimates(found.paper, found.claim.unit), _list_estimates(found.corrected, found.claim.unit),
+             _list_verdicts(found.verdicts), found.claim.rerun] for number, found in enumerate(findings, 1)]),
+         "verdicts": make_table(["", "the paper says", "verdict"], [
+             [number, found.claim.says, _list_verdicts(found.verdicts)] for number, found in enumerate(findings, 1)]),
+         "reruns": make_table(["experiment", "published program", "replicated, mean", "difference", "note"], [
+             [own.rerun.words.replace("meta-actions", "options"),
+              ", ".join(f"{share:.2f}" for share in own.rerun.shares),
+              f"{np.mean(own.ours):.2f} ({min(own.ours):.2f} to {max(own.ours):.2f})", f"{own.gap:+.2f}",
+              own.rerun.note] for own in reruns]),
+         "runs": make_table(["figure", "agent", "final score", "slope", "settled", "success rate in training"], [
+             _make_row(results, name, agent, final) for (name, agent), final in finals.items()])},
+        {name: (lambda theme, runs=runs: draw_figure(runs, theme)) for name, runs in results.items()})
 
 
-def tell_chance(settled: Sequence[bool | None]) -> str:
-    """Sentence on claims that random choices settle by the same tests; empty where there is none.
-
-    Args:
-        settled: for each claim whether they confirm it, refute it (False) or neither (None).
-    """
-    parts = [f"{word} {'claim' if len(numbers) == 1 else 'claims'} {join_words(map(str, numbers))}"
-             for word, kind in (("confirm", True), ("refute", False))
-             if (numbers := [number for number, found in enumerate(settled, 1) if found is kind])]
-    return f"Random choices {' and '.join(parts)} by the same tests, without learning." if parts else ""
-
-
-def _count_runs(results: Results, figure: str) -> str:
-    counts = sorted(len(get_runs(results, figure, agent)) for agent in {run.agent for run in results[figure]})
-    return f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
-
-
-def _make_row(results: Results, figure: str, agent: str) -> list[str]:
+def _make_row(results: Results, figure: str, agent: str, final: Estimate) -> list[str]:
     runs = get_runs(results, figure, agent)
     escapes = Measurement(tuple(share_of_training(run, run.training_successes) for run in runs)).estimate()
-    return [figure.removeprefix("paper-"), agent, _format(measure_final(runs).estimate(), "%"),
+    return [figure.removeprefix("paper-"), AgentSpec.parse(agent).title, _format(final, "%"),
             _format(measure_slope(runs, False, 0.5).estimate(), "points"),
             f"{sum(map(has_settled, runs))} of {len(runs)}", _format(escapes, "%")]
 
 
-def _list_estimates(estimates: dict[str, Estimate], unit: str) -> str:
-    return "<br>".join(f"{name} {_format(found, unit)}" for name, found in estimates.items())
+def _list_verdicts(verdicts: Mapping[str, bool | None]) -> str:
+    words = {True: "yes", False: "no", None: "open"}
+    kinds = list(verdicts.values())
+    if len(set(kinds)) == 1:
+        return words[kinds[0]]
+    return "<br>".join(f"{TITLES[name]} {words[kind]}" for name, kind in verdicts.items())
+
+
+def _list_estimates(estimates: Mapping[str, Estimate], unit: str) -> str:
+    return "<br>".join(f"{TITLES[name]} {_format(found, unit)}" for name, found in estimates.items())
 
 
 def _format(found: Estimate, unit: str) -> str:
     sign = "+" if unit == "points" else ""
-    value, low, high = (f"{100 * np.round(number, 3) + 0.0:{sign}.{_get_digits(found)}f}"
+    value, low, high = (f"{100 * np.round(number, 3) + 0.0:{sign}.0f}"
                         for number in (found.value, found.low, found.high))
     return f"{value} ({low} to {high})"
-
-
-def _get_digits(found: Estimate) -> int:
-    """A decimal where whole numbers would hide the difference to 0 or 100."""
-    return 1 if any(0 < number < 0.01 or 0.985 < number < 1 for number in (found.value, found.low, found.high)) else 0
-
-
-def tell_departures(reruns: Sequence[Rerun], results: Results) -> tuple[list[str], list[str]]:
-    """A sentence for each experiment, with both numbers: of those that part from the rerun, and of the others."""
-    parted, alike = [], []
-    for rerun in reruns:
-        ours = [_compute_late_share(run) for run in get_runs(results, rerun.figure, rerun.agent)]
-        there, here = float(np.mean(rerun.shares)), float(np.mean(ours))
-        shares = join_words(f"{share:.2f}" for share in rerun.shares)
-        sentence = (f"{rerun.words}: {shares} there, {here:.2f} on average here "
-                    f"({min(ours):.2f} to {max(ours):.2f}, {len(ours)} runs){rerun.note and '; '}{rerun.note}.")
-        (parted if abs(there - here) > APART else alike).append(sentence)
-    return parted, alike
-
-
-def _compute_late_share(run: RawRun) -> float:
-    late = slice(BINS * 4 // 5, BINS)
-    return sum(run.training_successes[late]) / max(sum(run.episodes[late]), 1)
 
 
 # --- figures ---------------------------------------------------------------------------------
 
 
-def draw_figure(runs: Sequence[RawRun]) -> Figure:
-    """One panel a recipe: frozen weights in full lines with intervals, training episodes dotted, chance dashed."""
-    labels = list(dict.fromkeys(run.agent for run in runs if _get_algorithm(run.agent) in _COLOURS))
-    recipes = [recipe for recipe in (KERAS_RL, DEFAULT_RECIPE) if any(_get_recipe(label) == recipe for label in labels)]
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(4.4 * len(recipes) + 0.6, 3.3), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(1, len(recipes), sharey=True, squeeze=False)[0]
-        for axes, recipe in zip(panels, recipes, strict=True):
-            for label in labels:
-                if _get_recipe(label) in (recipe, "none"):
-                    _draw_agent(axes, [run for run in runs if run.agent == label], _get_algorithm(label))
-            axes.set_title(f"settings {recipe}", fontsize=9, color=palette.INK, loc="left")
-            axes.set_xlabel(f"{runs[0].axis} of training", color=palette.INK)
-            axes.set_ylim(-4, 104)
-            finish_axes(axes)
-        panels[0].set_ylabel("return, % from -1,000 to best known", color=palette.INK)
-        panels[-1].plot([], [], ":", color=palette.MUTED, linewidth=1.2, label="training\nepisodes")
-        shown = {label: handle for axes in panels
-                 for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-        panels[-1].legend(list(shown.values()), list(shown), loc="center left", bbox_to_anchor=(1.01, 0.5),
-                          frameon=False)
-    return figure
+def draw_figure(runs: Sequence[RawRun], theme: Theme) -> Figure:
+    """Draw the score of training episodes, exploration included, a panel a recipe."""
+    colours = dict(zip(TITLES, (theme.lines[1], theme.lines[2], theme.lines[3], theme.muted), strict=True))
+    labels = [label for label in dict.fromkeys(run.agent for run in runs) if _get_algorithm(label) in colours]
+    panels = [(KERAS_RL, "settings of 2019"), (DEFAULT_RECIPE, "default settings")]
+
+    def draw(grid: Sequence[Axes]) -> None:
+        for axes, (recipe, title) in zip(grid, panels, strict=True):
+            own = [label for label in labels
+                   if _get_algorithm(label) == "random" or AgentSpec.parse(label).recipe == recipe]
+            ends = {label: _draw_agent(axes, [run for run in runs if run.agent == label],
+                                       colours[_get_algorithm(label)]) for label in own}
+            for (label, _), place in zip(sorted(ends.items(), key=lambda end: end[1]), _spread(ends), strict=True):
+                algorithm = _get_algorithm(label)
+                write_label(axes, 1.03 * runs[0].budget, place, TITLES[algorithm], colours[algorithm])
+            axes.set_title(title, loc="left", fontsize=10)
+            axes.set(ylim=(-8, 106), xlim=(0, 1.32 * runs[0].budget), ylabel="score, %")
+            axes.set_xticks(np.linspace(0, runs[0].budget, 5))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        grid[-1].set_xlabel(f"{runs[0].axis} of training")
+
+    return make_figure(theme, draw, height=4.6, nrows=2, sharex=True, sharey=True)
 
 
 def _get_algorithm(label: str) -> str:
     return AgentSpec.parse(label).algorithm
 
 
-def _get_recipe(label: str) -> str:
-    if _get_algorithm(label) == "random":
-        return "none"
-    return AgentSpec.parse(label).recipe
+def _spread(ends: Mapping[str, float], least: float = 13) -> list[float]:
+    """Heights of labels beside the ends of lines, in ascending order and at least so far apart."""
+    places: list[float] = []
+    for end in sorted(ends.values()):
+        places.append(max(end, places[-1] + least) if places else end)
+    highest = 100.0
+    for number in reversed(range(len(places))):
+        places[number] = min(places[number], highest)
+        highest = places[number] - least
+    return places
 
 
-def _draw_agent(axes: Axes, runs: Sequence[RawRun], algorithm: str) -> None:
-    budget, colour = runs[0].budget, _COLOURS[algorithm]
-    grid = np.linspace(0, budget, POINTS)
-    training = np.stack([run.training_scores for run in runs])
-    seen = np.isfinite(training).any(axis=0)
-    middle: Floats = np.full(training.shape[1], np.nan)
-    middle[seen] = np.nanmean(training[:, seen], axis=0)
-    if algorithm == "random":
-        axes.axhline(100 * float(np.nanmean(training)), color=colour, linestyle="--", linewidth=1.4, label="random")
-        return
-    axes.plot(runs[0].training_at, 100 * middle, ":", color=colour, linewidth=1.2)
-    curves = [np.stack([np.interp(grid, run.at, run.scores) for run in runs], axis=-1)]
-    bounds = (min(0.0, float(curves[0].min())), max(1.0, float(curves[0].max())))
-    low, high = compute_interval(compute_iqm, curves, bounds, np.random.default_rng(2019), 1_000)
-    axes.fill_between(grid, 100 * low, 100 * high, color=colour, alpha=0.14, linewidth=0)
-    axes.plot(grid, 100 * compute_iqm(curves), color=colour, linewidth=1.8, label=algorithm)
+def _draw_agent(axes: Axes, runs: Sequence[RawRun], colour: str) -> float:
+    """Draw the interquartile mean of the training scores of runs; returns its last value."""
+    scores = np.stack([run.training_scores for run in runs])
+    at = runs[0].training_at
+    if _get_algorithm(runs[0].agent) == "random":
+        middle: Floats = np.full(len(at), 100 * float(np.nanmean(scores)))
+        axes.plot(at, middle, "--", color=colour, linewidth=1.6)
+        return float(middle[-1])
+    known = np.where(np.isfinite(scores), scores, np.nan)
+    seen = np.isfinite(known).any(axis=0)
+    middle = np.full(len(at), np.nan)
+    middle[seen] = 100 * np.array([compute_iqm([column[np.isfinite(column)]]) for column in known[:, seen].T])
+    axes.plot(at, middle, color=colour, linewidth=2.2)
+    return float(middle[seen][-1])

@@ -13,9 +13,8 @@ from typing import Literal
 
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL, join_name
 from hrl_escape.agents.spec import AgentSpec, OptionsView
-from hrl_escape.benchmark.inference import ALPHA, Estimate, correct_by_holm
+from hrl_escape.benchmark.inference import ALPHA, Estimate
 from hrl_escape.benchmark.statistics import compute_final
-from hrl_escape.names import join_words
 from studies.paper.measures import (
     Measurement,
     Results,
@@ -29,9 +28,9 @@ from studies.paper.measures import (
     share_of_training,
 )
 from studies.raw import RawRun
-from studies.statistics import correct_by_benjamini_hochberg
+from studies.statistics import Difference, compare_signs, correct_by_benjamini_hochberg
 
-__all__ = ["MEASURES", "Claim", "Criterion", "Finding", "advise", "choose_level", "judge_claims"]
+__all__ = ["MEASURES", "Claim", "Criterion", "Finding", "choose_level", "compare_recipes", "judge_claims"]
 
 TWO, META = "paper-figure-2", "paper-figure-3"
 CHANCE = "random-options+primitives"
@@ -134,7 +133,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Finding:
-    """Outcome of a claim.
+    """Verdicts on a claim.
 
     Attributes:
         claim: the claim.
@@ -164,16 +163,6 @@ class Finding:
         if False in verdicts:
             return "no" if verdicts == {False} else "none"
         return "open"
-
-    @property
-    def agrees(self) -> str:
-        """`yes`, `no` or `open`; where algorithms differ, each answer with its algorithms."""
-        kinds = {True: "yes", False: "no", None: "open"}
-        if len(set(self.verdicts.values())) == 1:
-            return kinds[next(iter(self.verdicts.values()))]
-        parts = [(word, [name for name, verdict in self.verdicts.items() if verdict is kind])
-                 for kind, word in kinds.items()]
-        return "; ".join(f"{word}: {', '.join(names)}" for word, names in parts if names)
 
 
 def name_agent(algorithm: str, recipe: str, figure: str) -> str:
@@ -214,25 +203,12 @@ def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measureme
     return {key: MEASURES[claim.measure](results, claim.figure, name) for key, name in names.items() if name in labels}
 
 
-def advise(results: Results) -> str:
-    """Settings to take, by training scores with meta-actions: defaults less those of 2019, by pairs of seeds (Holm)."""
-    labels = {run.agent for run in results[META]}
+def compare_recipes(results: Results) -> dict[str, Difference]:
+    """Compare the training scores with options, defaults less the settings of 2019, by pairs of seeds (Holm)."""
     pairs = {name: [name_agent(name, recipe, META) for recipe in (DEFAULT_RECIPE, KERAS_RL)]
              for name in ("dqn", "sarsa", "ddpg")}
-    gains = {name: measure_gain(get_runs(results, META, corrected), get_runs(results, META, paper))
-             for name, (corrected, paper) in pairs.items() if {corrected, paper} <= labels}
-    tests = {name: (gain.estimate().value, 2 * min(gain.compute_p(0.0, side) for side in ("above", "below")))
-             for name, gain in gains.items()}
-    shown = {name: value for (name, (value, _)), p in zip(
-        tests.items(), correct_by_holm([p for _, p in tests.values()]), strict=True) if p < ALPHA}
-    better, worse = ([f"{name} ({100 * value:+.0f})" for name, value in shown.items() if value * sign > 0]
-                     for sign in (1, -1))
-    if worse:
-        return f"Mind the settings: with the default ones the training score falls for {join_words(worse)} points."
-    if better:
-        return ("Use the default settings: with meta-actions they raise the training score of "
-                f"{join_words(better)} points; `@{KERAS_RL}` is there to compare with what was published.")
-    return "Take either settings: the default ones are not shown to raise the training score with meta-actions."
+    return compare_signs({name: measure_gain(get_runs(results, META, default), get_runs(results, META, paper)).values
+                          for name, (default, paper) in pairs.items()})
 
 
 def _judge_chance(claim: Claim, results: Results) -> bool | None:

@@ -1,4 +1,4 @@
-"""Parts of a hierarchy: registered runs, answers by rule, and a page with its abstract of eight sentences."""
+"""Parts of a hierarchy: registered runs, registered answers, and what the runs show by number of buttons."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ import dataclasses
 import hashlib
 import math
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
@@ -25,33 +27,17 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.buttons.analysis import FirstEscape, find_first_escape
-from studies.page import make_table
-from studies.parts.answers import (
-    Answer,
-    Law,
-    PartsRun,
-    answer,
-    find_exchange,
-    fit_law,
-    is_given_up,
-    tell_abstract,
-    tell_again,
-    tell_bar,
-    tell_finding,
-    tell_law,
-    tell_ratio,
-)
-from studies.parts.figure import draw
-from studies.parts.reach import draw_reach
+from studies.parts.answers import Answer, Law, PartsRun, answer, find_exchange, fit_law, is_given_up
+from studies.parts.reach import count_escapes, draw_medians, draw_reach, find_medians
 from studies.parts.runs import Cell, LearnerSettings, play_cell
-from studies.price.words import tell_number
 from studies.running import StudyArgs
 from studies.statistics import compute_restricted_mean
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "REGISTERED", "Args", "analyse", "compute_design", "list_jobs", "list_missing", "make_config",
-           "make_latex", "measure", "run_job"]
+__all__ = ["LINES", "REGISTERED", "Args", "SizeRatio", "analyse", "compare_sizes", "compute_design",
+           "format_ratio", "list_jobs", "list_missing", "make_config", "measure", "run_job"]
 
 LINES = (PartsRun,)
 REGISTERED = ("study.toml", "questions.md")
@@ -199,95 +185,149 @@ def _check(study: Study, lines: Sequence[PartsRun]) -> Sequence[PartsRun]:
     return lines
 
 
-# --- page ------------------------------------------------------------------------------------
+# --- findings --------------------------------------------------------------------------------
 
 
-def analyse(study: Study, lines: Sequence[PartsRun]) -> Page:
-    """Abstract, figure and tables of the first runs, and the abstract of the confirmation once all of it is there.
+class SizeRatio(NamedTuple):
+    """Primitives to the first escape without a part over those with it, in rooms of one size.
+
+    Attributes:
+        median: over the rooms from which one of the two escaped; infinite if without it most runs do not.
+        rooms: these rooms.
+        made: rooms in which both were run.
+    """
+
+    median: float
+    rooms: int
+    made: int
+
+
+def compare_sizes(runs: Sequence[PartsRun], more: str, less: str, rule: str) -> dict[int, SizeRatio]:
+    """Compare two cells room by room, for each number of buttons with which both were run.
+
+    A run that did not escape within the budget took longer than one that did; a run that was not made counts nowhere.
+    """
+    ends: dict[tuple[int, int], dict[str, float]] = defaultdict(dict)
+    for run in runs:
+        if (run.rule, run.failure) == (rule, 0.0):
+            ends[run.buttons, run.seed][run.cell] = run.first_escape or math.inf
+    found = {}
+    for size in sorted({buttons for buttons, _ in ends}):
+        pairs = [(own[less], own[more]) for (buttons, _), own in ends.items() if buttons == size
+                 and more in own and less in own]
+        ratios = [without / with_it if without < math.inf else math.inf for without, with_it in pairs
+                  if min(without, with_it) < math.inf]
+        if pairs:
+            found[size] = SizeRatio(float(np.median(ratios)) if ratios else math.nan, len(ratios), len(pairs))
+    return found
+
+
+def summarise(runs: Sequence[PartsRun], data: Mapping[str, Any]) -> SimpleNamespace:
+    """Numbers of one slice: registered answers, and counts, medians and ratios by number of buttons."""
+    answers = answer(runs, data)
+    cells = [(cell["name"], rule) for cell in data["cells"] for rule in data["rules"]]
+    return SimpleNamespace(
+        answers={(one.more, one.less, one.rule): one for one in answers},
+        ratios={(one.more, one.less, one.rule): compare_sizes(runs, one.more, one.less, one.rule) for one in answers},
+        escapes={(name, rule): count_escapes(runs, name, rule) for name, rule in cells},
+        medians={(name, rule): find_medians(runs, name, rule) for name, rule in cells},
+    )
+
+
+def analyse(study: Study, lines: Sequence[PartsRun]) -> Findings:
+    """Registered answers of the first and of the fresh rooms, and what both show by number of buttons.
 
     Raises:
-        ComparisonError: there are no runs, or some of another design.
+        ComparisonError: runs are missing, or some are of another design.
     """
     data = study.data
     slices = {name: [line for line in _check(study, lines) if _get_slice(data, line.seed) == name]
               for name in data["slices"]}
-    if not slices["first"]:
-        raise ComparisonError("there are no runs to tell of")
-    missing = {name: len(list_missing(data, name, own)) for name, own in slices.items()}
-    again, _, confirmed = ([], {}, []) if missing["confirmation"] else _conclude(slices["confirmation"], data)
-    answers, laws, abstract = _conclude(slices["first"], data, again)
-    bar = tell_bar(answers, slices["first"])
-    rows = _list_rows(answers, again)
-    return Page({
-        "missing": missing, "finding": f"{tell_finding(answers)} {bar}",
-        "abstract": abstract, "confirmed": confirmed,
-        "agree": tell_again(answers, again) if again else "",
-        "answers": make_table(HEADER, rows), "count": len(answers), "design": compute_design(study),
-        "growth": make_table(["cell", *(f"`{rule}`" for rule in data["rules"])], [
-            [cell["name"], *(_describe_law(laws[cell["name"], rule]) for rule in data["rules"])]
-            for cell in data["cells"]]),
-        "medians": [(rule, make_table(["cell", *map(str, data["sizes"])], [
-            [cell["name"], *(_describe(slices["first"], cell, rule, size, data) for size in data["sizes"])]
-            for cell in data["cells"]])) for rule in data["rules"]],
-        "near": make_table(["cell", *(f"{size}, `{rule}`" for rule in data["rules"] for size in data["near"]["sizes"])],
-                           [[cell["name"], *(_describe_near(slices["first"], cell["name"], rule, size, data)
-                                             for rule in data["rules"] for size in data["near"]["sizes"])]
-                            for cell in data["cells"] if "reference" not in cell]),
-        "told": make_table(["cell", "what it is told"], [[cell["name"], cell["told"]] for cell in data["cells"]]),
-        "power": make_table(["question", "rooms expected", "spread", "factor seen in 80 %"], [
-            [f"{one['more']} against {one['less']}", one["rooms"], one["spread"], f"{one['power']:.2f}"]
-            for one in data["questions"]]),
-    }, {"parts": (figure := draw(slices["first"], laws, answers, data)), "parts.pdf": figure, **draw_reach(lines)},
-        [tell_finding(answers), bar, *abstract],
-        {"parts.tex": make_latex(HEADER[:5], [row[:5] for row in rows])})
+    if missing := {name: count for name, own in slices.items() if (count := len(list_missing(data, name, own)))}:
+        raise ComparisonError(f"registered runs are still to be made: {missing}")
+    first, fresh = (summarise(slices[name], data) for name in ("first", "confirmation"))
+    agree = sum(one.verdict == other.verdict for one, other in zip(first.answers.values(), fresh.answers.values(),
+                                                                   strict=True))
+    laws = {(cell["name"], rule): fit_law([run for run in slices["first"] if (run.cell, run.rule, run.failure)
+                                           == (cell["name"], rule, 0)])
+            for cell in data["cells"] for rule in data["rules"]}
+    exchanges = {rule: find_exchange(slices["first"], data, rule) for rule in data["rules"]}
+    sizes = list(map(str, data["sizes"]))
+    near = [(rule, size) for rule in data["rules"] for size in data["near"]["sizes"]]
+    return Findings(
+        SimpleNamespace(first=first, fresh=fresh, agree=agree, design=compute_design(study), exchanges=exchanges,
+                        runs={name: len(own) for name, own in slices.items()}, data=data),
+        {"ratios": make_table(["with", "without", "rule", *sizes],
+                              [_list_ratios(key, own, data) for key, own in first.ratios.items()]),
+         "answers": make_table(["with", "without", "rule", "times fewer primitives", "change of the exponent",
+                                "p, Holm", "rooms", "fresh rooms"],
+                               [_list_answer(one, other) for one, other in
+                                zip(first.answers.values(), fresh.answers.values(), strict=True)]),
+         "laws": make_table(["cell", *(f"`{rule}`" for rule in data["rules"])], [
+             [_name(cell["name"]), *(_format_law(laws[cell["name"], rule]) for rule in data["rules"])]
+             for cell in data["cells"]]),
+         **{f"medians_{rule}": make_table(["cell", *sizes], [
+             [_name(cell["name"]), *(_format_cell(slices["first"], cell["name"], rule, size, data)
+                                     for size in data["sizes"])]
+             for cell in data["cells"]]) for rule in data["rules"]},
+         "near": make_table(["cell", *(f"{size}, `{rule}`" for rule, size in near)], [
+             [cell["name"], *(_format_near(slices["first"], cell["name"], rule, size, data) for rule, size in near)]
+             for cell in data["cells"] if "reference" not in cell])},
+        {"parts": lambda theme: draw_medians(first.medians, theme),
+         "reach": lambda theme: draw_reach(lines, theme)})
 
 
-HEADER = ["part", "with it", "without it", "rule", "times fewer primitives", "changes the exponent by", "p, Holm",
-          "rooms", "80 % would see", "fresh rooms"]
+def _name(cell: str) -> str:
+    """Display name of a cell; `study.toml` is registered with names of version 0.3."""
+    return {"untried-nearest": "search, nearest first", "retrace": "search with backtracking",
+            "ceiling": "Bayes planner"}.get(cell, cell)
 
 
-def _conclude(runs: Sequence[PartsRun], data: Mapping[str, Any], again: Sequence[Answer] = ()
-              ) -> tuple[list[Answer], dict[tuple[str, str], Law | None], list[str]]:
-    answers = answer(runs, data)
-    laws = {(name, rule): fit_law([run for run in runs if (run.cell, run.rule, run.failure) == (name, rule, 0)])
-            for name in (cell["name"] for cell in data["cells"]) for rule in data["rules"]}
-    exchanges = [find_exchange(runs, data, rule) for rule in data["rules"]]
-    return answers, laws, tell_abstract(answers, laws, exchanges, runs, data, again)
+def _list_ratios(key: tuple[str, str, str], ratios: Mapping[int, SizeRatio], data: Mapping[str, Any]) -> list[str]:
+    more, less, rule = key
+    return [_name(more), _name(less), f"`{rule}`",
+            *(_format_size(ratios[size]) if size in ratios else "" for size in data["sizes"])]
 
 
-def _list_rows(answers: Sequence[Answer], again: Sequence[Answer]) -> list[list[str]]:
-    fresh = dict(enumerate(again))
-    return [[one.part, one.more, one.less, f"`{one.rule}`", _describe_factor(one), _describe_slope(one),
-             "-" if math.isnan(one.factor) else "< 0.001" if one.p < 0.001 else f"{one.p:.3f}", str(one.rooms),
-             "-" if math.isinf(one.visible) else f"{one.visible:.2f}",
-             _describe_factor(fresh[index]) if index in fresh else "-"] for index, one in enumerate(answers)]
+def _format_size(ratio: SizeRatio) -> str:
+    if not ratio.rooms:
+        return "neither"
+    return ("only with" if math.isinf(ratio.median) else "only without" if not ratio.median else
+            format_ratio(ratio.median))
 
 
-def _describe_factor(one: Answer) -> str:
-    if math.isnan(one.factor):
-        return "-"
-    words = f"{tell_ratio(one.factor)} ({tell_ratio(one.low)} to {tell_ratio(one.high)})"
+def format_ratio(value: float) -> str:
+    """A ratio with three digits, at most two of them decimals."""
+    return f"{value:.{2 if value < 9.995 else 1 if value < 99.95 else 0}f}"
+
+
+def _list_answer(one: Answer, other: Answer) -> list[str]:
+    return [_name(one.more), _name(one.less), f"`{one.rule}`", _format_factor(one), _format_slope(one),
+            "< 0.001" if one.p < 0.001 else f"{one.p:.3f}", str(one.rooms), _format_factor(other)]
+
+
+def _format_factor(one: Answer) -> str:
+    words = f"{format_ratio(one.factor)} ({format_ratio(one.low)} to {format_ratio(one.high)})"
     return words if one.verdict == "open" else f"**{words}**"
 
 
-def _describe_slope(one: Answer) -> str:
+def _format_slope(one: Answer) -> str:
     if one.slope is None:
-        return "-"
+        return ""
     middle, low, high = (-value for value in one.slope)
     return f"{middle:+.1f} ({high:+.1f} to {low:+.1f})"
 
 
-def _describe_law(law: Law | None) -> str:
+def _format_law(law: Law | None) -> str:
     if law is None:
-        return "-"
-    return (f"{tell_number(law.constant)} ({tell_number(law.constant_low)} to {tell_number(law.constant_high)}) × "
-            f"n^{law.exponent:.1f} ({law.low:.1f} to {law.high:.1f}); {tell_law(law)}")
+        return ""
+    return f"{law.constant:.2g} × n^{law.exponent:.1f} ({law.low:.1f} to {law.high:.1f}); {law.shape}"
 
 
-def _describe(runs: Sequence[PartsRun], cell: Mapping[str, Any], rule: str, size: int, data: Mapping[str, Any]) -> str:
-    own = [run for run in runs if (run.cell, run.rule, run.buttons, run.failure) == (cell["name"], rule, size, 0)]
+def _format_cell(runs: Sequence[PartsRun], name: str, rule: str, size: int, data: Mapping[str, Any]) -> str:
+    own = [run for run in runs if (run.cell, run.rule, run.buttons, run.failure) == (name, rule, size, 0)]
     if not own:
-        return "—"
+        return ""
     ends = np.array([run.first_escape or data["budget"] for run in own])
     escaped = np.array([run.first_escape is not None for run in own])
     middle = float(np.median(np.where(escaped, ends, np.inf)))
@@ -295,18 +335,8 @@ def _describe(runs: Sequence[PartsRun], cell: Mapping[str, Any], rule: str, size
             f"{compute_restricted_mean(ends, escaped, data['budget']):,.0f}")
 
 
-def _describe_near(runs: Sequence[PartsRun], name: str, rule: str, size: int, data: Mapping[str, Any]) -> str:
+def _format_near(runs: Sequence[PartsRun], name: str, rule: str, size: int, data: Mapping[str, Any]) -> str:
     own = [run.near_best for run in runs if (run.cell, run.rule, run.buttons, run.failure) == (name, rule, size, 0)]
-    if not own:
-        return "—"
     limit, came = data["near"]["budget"], np.array([end is not None for end in own])
     ends = np.array([limit if end is None else end for end in own])
     return f"{came.sum()} of {len(own)}; {compute_restricted_mean(ends, came, limit):,.0f}"
-
-
-def make_latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in LaTeX, for `booktabs`."""
-    body = [" & ".join(cell.replace("**", "").replace("`", "").replace("&", r"\&").replace("%", r"\%") for cell in row)
-            + r" \\" for row in (header, *rows)]
-    return "\n".join([rf"\begin{{tabular}}{{{'l' * len(header)}}}", r"\toprule", body[0], r"\midrule", *body[1:],
-                      r"\bottomrule", r"\end{tabular}", ""])

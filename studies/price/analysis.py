@@ -1,60 +1,48 @@
-"""The price of flatness: the factor by which flat learners pay more, learner by learner, and its figure."""
+"""What learning over primitives costs against learning over options: ratios of primitives, tables and the figure."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from types import SimpleNamespace
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import FuncFormatter, NullLocator
 
-from hrl_escape.agents.registry import get_recipe
-from hrl_escape.benchmark.reporting.figures import GREYS, SPARE
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.names import count_nouns, join_words
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
-from studies.price.contestants import BUTTON_COUNTS, CONTESTANTS, EFFICIENT, PAIRS, VARIANTS, make_chain_room
-from studies.price.ratios import COSTS, RunCost, compare_costs, measure_growth
+from hrl_escape.names import join_words
+from studies.figures import Theme, make_figure, write_label
+from studies.price.contestants import BUTTON_COUNTS, CONTESTANTS, EFFICIENT, PAIRS
+from studies.price.ratios import COSTS, CostRatio, RunCost, compare_costs, correct_prices, measure_growth
 from studies.price.runs import PriceRun, measure_price_runs
-from studies.price.trials import describe_trials, tell_exploration
-from studies.price.words import (
-    advise,
-    compare_with_chance,
-    conclude_prices,
-    conclude_variants,
-    tell_factor,
-    tell_longest,
-    tell_number,
-    tell_ready,
-    tell_visible,
-)
+from studies.price.trials import load_trials, tabulate_settings
 from studies.running import StudyArgs
-from studies.statistics import compute_restricted_mean, compute_survival
+from studies.statistics import compute_restricted_mean
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import format_short, make_table
+from studies.titles import find_title
 
-__all__ = ["LINES", "Args", "analyse", "draw_price", "measure"]
+__all__ = ["LINES", "Args", "analyse", "compare_pair", "draw_price", "measure"]
 
 LINES = (PriceRun,)
-_CHANCE, _UNTUNED = "random", "dqn, defaults"
-_HEADLINE = next(iter(PAIRS.items()))
+_CHANCE = "random"
+_FLAT, _OPTIONS = next(iter(PAIRS.items()))
 
 
 @dataclasses.dataclass(frozen=True)
 class Args(StudyArgs):
-    """Options of the price of flatness."""
+    """Options of the study."""
 
     replicates: int = 20
     """Rooms of each size, each with a training seed of its own."""
     first_replicate: int = 0
-    """Lowest replicate; those from 200 on are fresh. Give another `--docs` too, or the page tells of both."""
+    """Lowest replicate; those from 200 on are fresh. Give `--docs` too, to keep them apart."""
     minutes: float | None = None
     """Minutes after which no further run is begun."""
     agents: tuple[str, ...] = ()
@@ -75,31 +63,51 @@ def measure(study: Study, args: Args, store: Store) -> None:
         print(f"{made.agent}, {made.buttons} buttons, replicate {made.replicate}: efficient at {made.efficient_at}")
 
 
-def analyse(study: Study, lines: Sequence[PriceRun]) -> Page:
-    """Factors, conclusions, tables and the figure of lines."""
+def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
+    """Ratios of the headline's pair as one family, the random walk against it, tables and the figure."""
     runs = sorted(lines, key=lambda run: run.place)
-    flat, options = _HEADLINE
-    claims = [(flat, options, cost) for cost in COSTS[:2]]
-    conclusions = conclude_prices(runs, claims)
-    others = [conclude_prices(runs, [(*pair, cost) for cost in COSTS[:2]]) for pair in PAIRS.items()
-              if pair != _HEADLINE]
-    walk = conclude_variants(runs, flat, _CHANCE, COSTS[1:2])
-    ready = tell_ready(runs, flat, options, COSTS[0])
-    return Page({
-        "conclusions": conclusions, "others": [told for own in others for told in own], "walk": walk[0], "ready": ready,
-        "visible": tell_visible(runs, flat, options, COSTS[:2]),
-        "advice": advise(runs, flat, options, _CHANCE, COSTS[:2]),
-        "longest": tell_longest(runs), "EFFICIENT": EFFICIENT, "factors": _tabulate_factors(runs),
-        "curves": sum(bool(run.curve) for run in runs), "count": len(runs),
-        "to_efficiency": _tabulate(runs, "Primitives to efficiency", lambda own: _tell_cost(own, COSTS[0])),
-        "to_escape": _tabulate(runs, "Primitives to the first escape in training",
-                               lambda own: _tell_cost(own, COSTS[1])),
-        "last": _tabulate(runs, "The last evaluation", _tell_end), "budgets": _tabulate_budgets(runs),
-        "minutes": sum(run.seconds for run in runs) / 60, "headline": _HEADLINE[0],
-        "variants": {label: " ".join(conclude_variants(runs, label, _HEADLINE[0], COSTS[:2])) for label in VARIANTS
-                     if _choose(runs, label)},
-        "untuned": _compare_untuned(runs), "trials": describe_trials(),
-    }, {"price": draw_price(runs)}, [*conclusions, walk[0], *filter(None, [ready])])
+    prices = compare_pair(runs, _FLAT, _OPTIONS, COSTS[:2])
+    plain = compare_pair(runs, _FLAT, _OPTIONS, COSTS[2:4], corrected=False)
+    (walk,) = compare_pair(runs, _FLAT, _CHANCE, COSTS[1:2]).values()
+    flat = [run for run in runs if run.agent == _FLAT]
+    arrived = {size: Counter(run.efficient_at is not None for run in flat if run.buttons == size)
+               for size in BUTTON_COUNTS}
+    ready = {ratio.buttons: (ratio.ready, ratio.ready + len(ratio.logs)) for ratio in prices["efficient"]}
+    numbers = SimpleNamespace(
+        efficient_at=EFFICIENT, minutes=sum(run.seconds for run in runs) / 60, runs=len(runs),
+        trials=len(load_trials()),
+        factors={key: {ratio.buttons: ratio.middle for ratio in own if not ratio.is_short}
+                 for key, own in (prices | plain).items()},
+        walk={ratio.buttons: ratio.middle for ratio in walk}, ready=ready,
+        arrived={size: (counts[True], counts.total()) for size, counts in arrived.items() if counts})
+    return Findings(numbers, {
+        "factors": _tabulate_factors(runs),
+        "to_efficiency": _tabulate(runs, "Primitives to an efficiency of 0.9", partial(_describe_cost, cost=COSTS[0])),
+        "to_escape": _tabulate(runs, "Primitives to the first escape", partial(_describe_cost, cost=COSTS[1])),
+        "last": _tabulate(runs, "Last evaluation", _describe_end), "price_budgets": _tabulate_budgets(runs),
+        "price_settings": tabulate_settings(),
+    }, {"price": partial(draw_price, runs)})
+
+
+def compare_pair(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost], corrected: bool = True
+                 ) -> dict[str, list[CostRatio]]:
+    """Ratios of one learner's costs to another's, by cost and size.
+
+    Args:
+        runs: of both, and of others.
+        one: label of the learner that pays.
+        other: label of the learner it is compared with.
+        costs: in their order.
+        corrected: all sizes and costs, and the growths with each button, are one family (Holm).
+    """
+    paid, others = ([run for run in runs if run.agent == label] for label in (one, other))
+    ratios = [compare_costs(paid, others, cost) for cost in costs]
+    if corrected:
+        ratios, _ = correct_prices(ratios, [measure_growth(own) for own in ratios])
+    return {cost.key: own for cost, own in zip(costs, ratios, strict=True)}
+
+
+# --- tables ----------------------------------------------------------------------------------
 
 
 def _choose(runs: Sequence[PriceRun], label: str, buttons: int | None = None) -> list[PriceRun]:
@@ -107,103 +115,75 @@ def _choose(runs: Sequence[PriceRun], label: str, buttons: int | None = None) ->
 
 
 def _tabulate_factors(runs: Sequence[PriceRun]) -> str:
+    """Plain intervals of all pairs and costs; rows that know nothing are left out."""
     rows = []
     for flat, options in PAIRS.items():
-        for cost in COSTS:
-            ratios = compare_costs(_choose(runs, flat), _choose(runs, options), cost)
-            known = {ratio.buttons: tell_factor(ratio.middle) for ratio in ratios}
-            if all(ratio.middle.knowledge == "unknown" for ratio in ratios):
-                continue
-            growth = measure_growth(ratios)
-            span = "" if growth.middle.knowledge == "unknown" else f", {growth.smallest} to {growth.largest}"
-            rows.append([flat, cost.name, *(known.get(size, "-") for size in BUTTON_COUNTS),
-                         tell_factor(growth.middle) + span])
-    return make_table(["flat learner", "cost", *BUTTON_COUNTS, "with each button"], rows)
+        for key, ratios in compare_pair(runs, flat, options, COSTS, corrected=False).items():
+            known = {ratio.buttons: ratio.middle for ratio in ratios}
+            if any(middle.knowledge != "unknown" for middle in known.values()):
+                (name,) = (cost.name for cost in COSTS if cost.key == key)
+                rows.append([find_title(flat), name, *(known.get(size, "-") for size in BUTTON_COUNTS)])
+    return make_table(["flat learner", "cost", *BUTTON_COUNTS], rows)
 
 
-def _tabulate(runs: Sequence[PriceRun], title: str, tell: Callable[[Sequence[PriceRun]], str]) -> str:
+def _tabulate(runs: Sequence[PriceRun], title: str, describe: Callable[[Sequence[PriceRun]], str]) -> str:
     labels = dict.fromkeys(contestant.label for contestant in CONTESTANTS if _choose(runs, contestant.label))
     return make_table([title, *BUTTON_COUNTS], [
-        [label, *(tell(own) if (own := _choose(runs, label, size)) else "-" for size in BUTTON_COUNTS)]
+        [find_title(label), *(describe(own) if (own := _choose(runs, label, size)) else "-" for size in BUTTON_COUNTS)]
         for label in labels])
 
 
-def _tell_end(runs: Sequence[PriceRun]) -> str:
+def _describe_end(runs: Sequence[PriceRun]) -> str:
     escaped = [run.efficiency for run in runs if run.efficiency]
     return f"{len(escaped)} of {len(runs)}" + (f"; {np.median(escaped):.2f}" if escaped else "")
 
 
-def _tell_cost(runs: Sequence[PriceRun], cost: RunCost) -> str:
+def _describe_cost(runs: Sequence[PriceRun], cost: RunCost) -> str:
     times, observed = zip(*filter(None, map(cost.read, runs)), strict=True)
     mean = compute_restricted_mean(times, observed, max(run.budget for run in runs))
-    return f"{sum(observed)} of {len(runs)}; {tell_number(mean / 1000)}"
+    return f"{sum(observed)} of {len(runs)}; {format_short(mean / 1000)}"
 
 
 def _tabulate_budgets(runs: Sequence[PriceRun]) -> str:
-    """Budgets of each learner, how many runs had them, and how often they were evaluated."""
+    """Label of each learner, its budgets, how many runs had them, and how often they were evaluated."""
     rows = []
     for label in dict.fromkeys(contestant.label for contestant in CONTESTANTS):
         own = [contestant for contestant in CONTESTANTS if contestant.label == label]
         if budgets := Counter(run.budget for run in _choose(runs, label)):
             parts = [f"{number} of {budget:,}" for budget, number in sorted(budgets.items())]
             spans = join_words([f"{span:,}" for span in sorted({contestant.eval_every for contestant in own})], "or")
-            rows.append([label, max(own[0].streams, 1), ", ".join(parts), spans])
-    return make_table(["learner", "copies of the room at once", "runs by budget in primitives", "evaluated every"],
+            rows.append([find_title(label), f"`{label}`", max(own[0].streams, 1), ", ".join(parts), spans])
+    return make_table(["learner", "label", "copies of the room", "runs by budget in primitives", "evaluated every"],
                       rows)
 
 
-def _compare_untuned(runs: Sequence[PriceRun]) -> dict[str, Any] | None:
-    """Values of the section on the default `dqn` in rooms of one button; None where it or chance was not run there."""
-    untuned, chance = _choose(runs, _UNTUNED, 1), _choose(runs, _CHANCE, 1)
-    if not untuned or not chance:
-        return None
-    horizon, steps = min(run.budget for run in untuned), get_recipe("dqn").epsilon_steps
-    tuned = _choose(runs, _HEADLINE[0], 1)
-    return {"horizon": horizon, "steps": steps, "episodes": steps // make_chain_room(1).horizon,
-            "told": [compare_with_chance(learner, chance, label, horizon)
-                     for label, learner in ((_UNTUNED, untuned), (_HEADLINE[0], tuned)) if learner],
-            "exploration": tell_exploration()}
+# --- figure ----------------------------------------------------------------------------------
 
 
-def draw_price(runs: Sequence[PriceRun]) -> Figure:
-    """Share of runs that got there against primitives: a column a size, dashes without options, grey for chance."""
-    labels = [label for label in dict.fromkeys(contestant.label for contestant in CONTESTANTS)
-              if label != _UNTUNED and any(len(_choose(runs, label, size)) > 1 for size in BUTTON_COUNTS)]
-    twins = dict.fromkeys(PAIRS.get(label, label) for label in labels if label != _CHANCE)
-    colours = dict(zip(twins, (*palette.LINES, *SPARE), strict=False)) | {_CHANCE: GREYS[0]}
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(10.4, 4.6), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(2, len(BUTTON_COUNTS), sharey=True, sharex=True)
-        for row, cost, title in zip(panels, COSTS, ("efficient", "escaped once"), strict=False):
-            for axes, size in zip(row, BUTTON_COUNTS, strict=True):
-                for label in labels:
-                    _draw_share(axes, _choose(runs, label, size), cost, colours[PAIRS.get(label, label)],
-                                "-" if label.startswith("options") else "--")
-                finish_axes(axes)
-                axes.set_ylim(-4, 104)
-                axes.set_xscale("log")
-                axes.set_xlim(left=10)
-                axes.xaxis.set_major_locator(LogLocator(numticks=5))
-                axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-                axes.xaxis.set_minor_formatter(NullFormatter())
-            row[0].set_ylabel(f"{title}, % of runs", color=palette.INK)
-        for axes, size in zip(panels[0], BUTTON_COUNTS, strict=True):
-            axes.set_title(count_nouns(size, "button"), fontsize=9, color=palette.INK, loc="left")
-        for label in labels:
-            panels[0, -1].plot([], [], "-" if label.startswith("options") else "--", label=label,
-                               color=colours[PAIRS.get(label, label)])
-        panels[0, -1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
-        figure.supxlabel("primitives of training", fontsize=9, color=palette.INK)
-    return figure
+def draw_price(runs: Sequence[PriceRun], theme: Theme) -> Figure:
+    """Primitives until efficient against buttons: a dot a run, lines of medians, triangles for runs that gave up."""
+    lines = ((_FLAT, theme.lines[2], 2.35, 1.3e5), ("ppo, long", theme.lines[3], 1.12, 2.6e6),
+             (_OPTIONS, theme.lines[0], 3.0, 900), ("options, ppo", theme.lines[1], 1.35, 250))
 
+    def draw(axes: Axes) -> None:
+        for number, (label, colour, x, y) in enumerate(lines):
+            medians = {}
+            for size in BUTTON_COUNTS:
+                waits = [max(run.efficient_at, run.fewest) if run.efficient_at is not None else math.inf
+                         for run in _choose(runs, label, size)]
+                at = BUTTON_COUNTS.index(size) + 0.11 * (number - 1.5)
+                arrived = [wait for wait in waits if math.isfinite(wait)]
+                axes.plot([at] * len(arrived), arrived, "o", color=colour, markersize=3, alpha=0.45, markeredgewidth=0)
+                if lost := [run.primitives for run in _choose(runs, label, size) if run.efficient_at is None]:
+                    axes.plot([at] * len(lost), lost, "^", color=colour, markersize=5, markerfacecolor="none")
+                if len(waits) > 1 and math.isfinite(middle := float(np.median(waits))):
+                    medians[at] = middle
+            axes.plot(list(medians), list(medians.values()), color=colour, linewidth=2)
+            write_label(axes, x - 1, y, find_title(label), colour, ha="left")
+        axes.set(yscale="log", ylim=(15, 2e7), xlim=(-0.4, len(BUTTON_COUNTS) - 0.6), xlabel="buttons in the room",
+                 ylabel="primitives until efficient")
+        axes.set_xticks(range(len(BUTTON_COUNTS)), [str(size) for size in BUTTON_COUNTS])
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        axes.yaxis.set_minor_locator(NullLocator())
 
-def _draw_share(axes: Axes, runs: Sequence[PriceRun], cost: RunCost, colour: str, dash: str) -> None:
-    """Kaplan-Meier's curve of the runs that got there, a cross where one was given up; none of a single run."""
-    if len(runs) < 2:
-        return
-    times, observed = (np.array(column) for column in zip(*filter(None, map(cost.read, runs)), strict=True))
-    ends, waiting = compute_survival(times, observed)
-    share = 100 * (1 - waiting)
-    axes.step([10, *ends], [0, *share], dash, where="post", linewidth=1.6, color=colour)
-    is_lost = np.isin(ends, times[~observed])
-    axes.plot(ends[is_lost], share[is_lost], "x", markersize=4, color=colour)
+    return make_figure(theme, draw, height=3.9)

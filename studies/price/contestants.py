@@ -64,7 +64,7 @@ class Contestant:
         replicates: the first so many of a series.
         stage: runs of a later stage are begun when those of earlier ones are done.
         explores_by: what its random choices are in place of single primitives; see `studies/price/explorer.py`.
-        looks_along: what it imagines beside what it runs; see `studies/price/lookahead.py`.
+        looks_along: what it imagines in addition to what it runs; see `studies/price/lookahead.py`.
     """
 
     label: str

@@ -24,7 +24,7 @@ __all__ = ["ExploringDQN", "ExploringSettings", "make_explorer"]
 
 @dataclass(frozen=True, kw_only=True)
 class ExploringSettings(PrimitivesSettings):
-    """Settings of `ExploringDQN`, beside those of `dqn`."""
+    """Settings of `ExploringDQN`, in addition to the settings of `dqn`."""
 
     explores_by: Literal["options", "repeats"] = "options"
     """Kind of a random choice; a repeat's length is that of an option."""
@@ -65,18 +65,18 @@ class ExploringDQN(PrimitivesDQN):
         """Learn from each primitive of the decision as if it had been chosen."""
         if batch.terminated[0] or batch.truncated[0]:
             self._repeated = (0, 0)
-        told: Mapping[str, float] = {}
+        logged: Mapping[str, float] = {}
         mask, (trace,) = batch.action_mask[0], batch.trace
         for number, step in enumerate(trace, 1):
             is_last = number == len(trace)
             after = batch.next_action_mask[0] if is_last else step.next_action_mask.astype(np.bool_)
             reward = float(step.reward)
-            told = super().observe(make_decision(SMDPTransition(
+            logged = super().observe(make_decision(SMDPTransition(
                 step.observation, int(step.action), self.cut(mask), reward, reward, 1, self.gamma,
                 step.next_observation, self.cut(after), bool(is_last and batch.terminated[0]),
                 bool(is_last and batch.truncated[0]))))
             mask = after
-        return told
+        return logged
 
 
 def make_explorer(explores_by: Literal["options", "repeats"], env: Any, seed: int, settings: Mapping[str, Any]

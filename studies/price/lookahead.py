@@ -34,7 +34,7 @@ Event: TypeAlias = tuple[Any, int]
 
 @dataclass(frozen=True, kw_only=True)
 class LookaheadSettings(PrimitivesSettings):
-    """Settings of `LookaheadDQN`, beside those of `dqn`."""
+    """Settings of `LookaheadDQN`, in addition to the settings of `dqn`."""
 
     looks_along: Direction = "options"
     """Imagined is a planned option, or random primitives for as long as one lasts. Each state learns from where
@@ -63,14 +63,14 @@ class LookaheadDQN(PrimitivesDQN):
         """Note what the primitive did, learn from it, and imagine on from where it led."""
         ((step,),) = batch.trace
         self._known |= set(list_events(step, self._exit))
-        told = super().observe(batch._replace(
+        logged = super().observe(batch._replace(
             action_mask=self.cut(batch.action_mask), next_action_mask=self.cut(batch.next_action_mask), trace=()))
         self._ahead -= 1
         if self._ahead < 0 and not (batch.terminated[0] or batch.truncated[0]):
             way = list(self.imagine(step.next_state))
             self._store(way, len(way) if self.settings.looks_along != "primitives" else self.settings.n_step)
             self._ahead += len(way)
-        return told
+        return logged
 
     def _store(self, way: Sequence[Experience], decisions: int) -> None:
         """Store the backups of some decisions from each state of a way, or of fewer up to its end."""

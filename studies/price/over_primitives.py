@@ -25,7 +25,7 @@ TRIED = 40
 
 @dataclass(frozen=True, kw_only=True)
 class PrimitivesSettings(DQNSettings):
-    """Settings of `PrimitivesDQN`, which `read_room` fills in, beside those of `dqn`."""
+    """Settings of `PrimitivesDQN`, which `read_room` fills in, in addition to the settings of `dqn`."""
 
     lengths: tuple[int, ...] = (1,)
     """Primitives of options in this room, of which the length of a random way is drawn."""

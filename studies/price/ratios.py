@@ -3,7 +3,7 @@
 A run that did not get there within its budget cost more than it had spent. So the ratio of a flat run's cost to that of
 a run over options lies between two ends, which are one where both got there. Of these ratios the geometric mean is
 taken; its interval and its test are those of flipped signs, so that one leaves out 1 just where the other says so.
-Rooms in which the untrained options are efficient already say nothing of learning: they are told apart.
+Rooms in which the untrained options are already efficient are left out, because nothing is learned there.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from hrl_escape.benchmark.inference import LEVEL, correct_by_holm
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from studies.price.runs import PriceRun
 from studies.statistics import choose_holm_levels, find_lasting, list_subset_means
+from studies.tables import format_short
 
 __all__ = ["COSTS", "CostRatio", "Growth", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
            "is_ready", "measure_growth"]
@@ -30,17 +31,15 @@ class RunCost(NamedTuple):
     """A cost of a run.
 
     Attributes:
+        key: in numbers of the analysis.
         name: in tables.
-        event: that ends it, as the end of "until ...".
-        unit: in sentences.
         read: of a run, the cost, and True if it got there; False if it had only spent this much. None where the run's
             line does not hold it.
         is_of_learning: an untrained policy that is efficient already spoils it.
     """
 
+    key: str
     name: str
-    event: str
-    unit: str
     read: Callable[[PriceRun], tuple[float, bool] | None]
     is_of_learning: bool = True
 
@@ -69,11 +68,11 @@ def _spend_seconds(run: PriceRun) -> tuple[float, bool]:
 
 
 COSTS = (
-    RunCost("primitives to efficiency", "it is efficient", "primitives", _wait_for_efficiency),
-    RunCost("primitives to the first escape", "its first escape", "primitives", _wait_for_escape, False),
-    *(RunCost(f"primitives to an efficiency of {least:g}", f"an efficiency of {least:g}", "primitives",
-              _wait_for(least)) for least in (0.7, 0.5)),
-    RunCost("processor seconds to efficiency", "it is efficient", "processor seconds", _spend_seconds),
+    RunCost("efficient", "primitives to an efficiency of 0.9", _wait_for_efficiency),
+    RunCost("escape", "primitives to the first escape", _wait_for_escape, False),
+    RunCost("most", "primitives to an efficiency of 0.7", _wait_for(0.7)),
+    RunCost("half", "primitives to an efficiency of 0.5", _wait_for(0.5)),
+    RunCost("seconds", "processor seconds to an efficiency of 0.9", _spend_seconds),
 )
 
 
@@ -95,6 +94,19 @@ class Middle(NamedTuple):
     high: float = np.inf
     p: float = 1.0
 
+    @property
+    def mean(self) -> float:
+        """The factor, as other estimates with an interval name theirs."""
+        return self.factor
+
+    def __str__(self) -> str:
+        """Text of a table: `26 (19 to 36)`, `> 19 (mean at least 26)` of a bound, or `-`."""
+        if self.knowledge == "unknown":
+            return "-"
+        if self.knowledge == "bound":
+            return f"> {format_short(self.low)} (mean at least {format_short(self.factor)})"
+        return f"{format_short(self.factor)} ({format_short(self.low)} to {format_short(self.high)})"
+
 
 class CostRatio(NamedTuple):
     """Times that flat learners pay what learners over options pay in rooms of one size.
@@ -103,7 +115,7 @@ class CostRatio(NamedTuple):
         buttons: of the rooms.
         logs: logarithm of the ratio, by replicate.
         middle: over replicates.
-        ready: replicates told apart, as the untrained options are efficient there.
+        ready: replicates left out, because the untrained options are efficient there.
         is_short: the flat runs had a smaller budget here than in other sizes, so that nothing is concluded.
     """
 
@@ -115,7 +127,7 @@ class CostRatio(NamedTuple):
 
 
 class Growth(NamedTuple):
-    """Growth of the factor with each button, from the fewest to the most buttons of which it can be told.
+    """Growth of the factor with each button, from the fewest to the most buttons with a known factor.
 
     Attributes:
         smallest: buttons at the one end.

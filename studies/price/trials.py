@@ -6,8 +6,6 @@ The record is `trials.toml`, in the order in which they were tried.
 from __future__ import annotations
 
 import json
-from collections import Counter
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -15,10 +13,11 @@ from typing import Any
 
 from hrl_escape.files import read_toml
 from hrl_escape.settings import read_record
-from studies.page import make_table
 from studies.price.contestants import CONTESTANTS
+from studies.tables import make_table
+from studies.titles import find_title
 
-__all__ = ["SettingsTrial", "describe_trials", "load_trials", "tell_exploration"]
+__all__ = ["SettingsTrial", "load_trials", "tabulate_settings"]
 
 _FILE = Path(__file__).with_name("trials.toml")
 
@@ -54,36 +53,9 @@ def load_trials() -> tuple[SettingsTrial, ...]:
     return tuple(read_record(SettingsTrial, entry) for entry in read_toml(_FILE, "record of trials")["trials"])
 
 
-def tell_exploration(trials: Sequence[SettingsTrial] | None = None) -> str:
-    """A sentence on what longer exploration alone did for `dqn` in the trials; nothing without two that tell it.
-
-    Args:
-        trials: by default all.
-    """
-    alone = {"epsilon_steps", "epsilon_end"}
-    single = [trial for trial in trials or load_trials() if trial.agent == "dqn" and not trial.streams]
-    for trial in single:
-        before = [other for other in single if not other.settings
-                  and (other.buttons, other.room, other.primitives) == (trial.buttons, trial.room, trial.primitives)]
-        if trial.settings and trial.settings.keys() <= alone and before:
-            return (f"In the trials longer exploration alone ({_list_settings(trial.settings)}) took the share of late "
-                    f"training episodes that escape from {before[0].escapes:.0%} to {trial.escapes:.0%} (one run each, "
-                    f"{trial.primitives:,} primitives).")
-    return ""
-
-
-def _list_settings(settings: Mapping[str, Any]) -> str:
-    return ", ".join(f"`{name} = {json.dumps(value)}`" for name, value in settings.items())
-
-
-def describe_trials() -> dict[str, Any]:
-    """Values of the section on how settings were chosen, and those that are used."""
-    trials = load_trials()
-    counts = Counter(trial.agent for trial in trials)
+def tabulate_settings() -> str:
+    """Settings of the learners that differ from the defaults."""
     used = {contestant.label: contestant.settings for contestant in CONTESTANTS}
-    return {
-        "count": len(trials), "counts": [f"{count} of {agent}" for agent, count in counts.items()],
-        "rooms": sorted({str(trial.room) for trial in trials}),
-        "table": make_table(["learner", "settings"], [[label, _list_settings(settings)]
-                                                      for label, settings in used.items() if settings]),
-    }
+    return make_table(["learner", "settings"], [
+        [find_title(label), ", ".join(f"`{name} = {json.dumps(value)}`" for name, value in settings.items())]
+        for label, settings in used.items() if settings])

@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 from studies.scaling.results import ScalingRun
 from studies.statistics import compute_restricted_mean
 
-__all__ = ["FollowedRuns", "Pick", "count_spared", "follow_runs", "list_bins"]
+__all__ = ["FollowedRuns", "Pick", "count_spared", "follow_runs"]
 
 Pick = Callable[[ScalingRun], int | None]
 """The primitives at which something came about in a run; None if it did not."""
@@ -76,15 +75,3 @@ def count_spared(results: Sequence[ScalingRun], rule: str, agent: str, buttons: 
     tried = {(run.graph, run.run) for run in own if run.buttons == buttons}
     failed = {(run.graph, run.run) for run in own if run.buttons < buttons and run.first_escape is None}
     return len(failed - tried)
-
-
-def list_bins(results: Sequence[ScalingRun], measure: Literal["edges", "depth"]) -> list[tuple[int, int]]:
-    """Ranges (least, most) of a measure of rooms, about equally many rooms in each.
-
-    Edges that matter, and how many of them lie in a row, say more of a room's difficulty than its number of buttons: a
-    tree of 20 buttons may have three.
-    """
-    rooms = sorted({(run.task, run.run): getattr(run, measure) for run in results}.values())
-    cuts = sorted({rooms[len(rooms) * part // 5] for part in range(1, 5)} - {rooms[0]})
-    starts = [rooms[0], *cuts]
-    return list(zip(starts, [*(cut - 1 for cut in cuts), rooms[-1]], strict=True))

@@ -1,7 +1,7 @@
 """Scaling study: agents in rooms of 2 to 20 buttons, of some dependency graph and violation rule.
 
 Every run has a room of its own and ends early once its agent has solved it (`SolvedRule`). Runs are made in rounds,
-because an agent that never escaped with fewer buttons does not run with more. In the rounds of `TOLD`, factored R-MAX
+because an agent that never escaped with fewer buttons does not run with more. In the rounds of `GIVEN`, factored R-MAX
 is given less information than usual.
 """
 
@@ -34,9 +34,9 @@ from studies.scaling.results import RoomKind, ScalingRun, measure_depth
 from studies.scaling.solved_probe import SolvedProbe, SolvedRule
 
 __all__ = [
-    "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GRAPHS", "MAX_PARENTS", "NEAR_BEST", "RULES", "SIZES",
-    "STUDY_PARTS", "TOLD", "TOLD_TASKS", "Round", "choose_options", "get_run_folder", "make_room", "run_round",
-    "run_scaling",
+    "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GIVEN", "GIVEN_TASKS", "GRAPHS", "HOLDS", "MAX_PARENTS",
+    "NEAR_BEST", "RULES", "SIZES", "STUDY_PARTS", "Round", "choose_options", "get_run_folder", "make_room",
+    "run_round", "run_scaling",
 ]  # fmt: skip
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
@@ -61,9 +61,11 @@ def choose_options(name: str, label: str = "", **settings: Any) -> AgentSpec:
     return AgentSpec(name, label or name, settings=settings, options=OptionsView(include_primitives=False))
 
 
-TOLD = tuple(choose_options(BAR_AGENT, f"{conditions}, {most}", max_parents=most, conditions=conditions)
+GIVEN = tuple(choose_options(BAR_AGENT, f"{conditions}, {most}", max_parents=most, conditions=conditions)
              for conditions in _DATA["told"]["conditions"] for most in _DATA["told"]["parents"])
-TOLD_TASKS = tuple(RoomKind(*kind) for kind in _DATA["told"]["rooms"])
+GIVEN_TASKS = tuple(RoomKind(*kind) for kind in _DATA["told"]["rooms"])
+HOLDS = f"all-on, {MAX_PARENTS}"
+"""Label of the learner that is given just what holds in these rooms."""
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,7 @@ def _list_rounds(seeds: Sequence[int], first_seed: int, parts: Sequence[str], ag
             yield Round(BAR, (choose_options(BAR_AGENT),), seed)
     if "told" in parts:
         for seed in seeds:
-            yield Round(TOLD_TASKS, TOLD, seed)
+            yield Round(GIVEN_TASKS, GIVEN, seed)
     for seed in seeds if "agents" in parts else ():
         for place, buttons in enumerate(SIZES):
             for agent in agents:

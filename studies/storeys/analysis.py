@@ -1,13 +1,16 @@
-"""Lessons of one floor of a tower for the next, where all floors have one order of symbols."""
+"""Room sequences: what one room teaches for the next, where all rooms of a sequence share one order of symbols."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import AgentSpec
@@ -15,29 +18,28 @@ from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.benchmark.statistics import compute_efficiency
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.room_sequence import RoomSequence, repeat_set
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
+from studies.figures import Theme, make_figure, write_label
 from studies.running import StudyArgs as Args
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import format_interval, make_table
 from studies.unseen import count_fewest
 
-__all__ = ["LINES", "Args", "FloorRun", "analyse", "measure", "play_towers", "tell"]
+__all__ = ["LINES", "Args", "FloorRun", "analyse", "measure", "play_towers"]
 
 
 @dataclasses.dataclass(frozen=True)
 class FloorRun:
-    """Episodes of one agent on one floor.
+    """Episodes of one agent in one room of the sequences.
 
     Attributes:
         agent: name with traits.
-        repeats: False where it is told nothing of the floors below.
-        floor: number of the floor, from 1.
-        efficiencies: of each tower.
+        repeats: False where it forgets the rooms before.
+        floor: number of the room, from 1.
+        efficiencies: in each sequence.
     """
 
     agent: str
@@ -55,7 +57,7 @@ LINES = (FloorRun,)
 
 
 def play_towers(agent: str, tower: RoomSequence, repeats: bool, towers: int) -> list[FloorRun]:
-    """Play an episode in each of the first towers; without `repeats` nothing is carried from floor to floor."""
+    """Play an episode in each of the first sequences; without `repeats` nothing is carried from room to room."""
     spec, floors = AgentSpec.parse(agent), len(tower.sets)
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(towers)}
     env, recorder = make_agent_env(spec, RoomSequence(tower.sets, repeats), "objects", order)
@@ -80,48 +82,58 @@ def measure(study: Study, args: Args, store: Store) -> None:
             store.add(play_towers(agent, tower, repeats, min(data["towers"], len(tower.sets[0]))))
 
 
-def _gain(first: np.ndarray, last: np.ndarray) -> tuple[float, float, float]:
-    """Mean of the differences, tower by tower, with Student's interval."""
-    gains = last - first
-    reach = float(stats.sem(gains)) * float(stats.t.ppf(0.975, len(gains) - 1))
-    return float(gains.mean()), float(gains.mean()) - reach, float(gains.mean()) + reach
+class Cell(NamedTuple):
+    """Mean over room sequences with its 95 % interval (Student's t)."""
+
+    mean: float
+    low: float
+    high: float
 
 
-def tell(floors: Sequence[np.ndarray], subject: str) -> str:
-    """A sentence on whether the first floor pays on the last."""
-    gain, low, high = _gain(floors[0], floors[-1])
-    gained = f"{gain:+.2f}" if round(gain, 2) else "0.00"
-    interval, way = f"{gained} ({low:+.2f} to {high:+.2f})", f"from floor 1 to floor {len(floors)}"
-    if low > 0:
-        return f"For {subject}, the first floor pays: {way} efficiency rises by {interval}."
-    if high < 0:
-        return f"For {subject}, efficiency falls by {interval} {way}."
-    return f"For {subject}, no floor is shown to pay on another: {interval} {way}."
+def summarise(values: NDArray[np.float64]) -> Cell:
+    """Mean of efficiencies or of gains, one a sequence."""
+    reach = float(stats.sem(values)) * float(stats.t.ppf(0.975, len(values) - 1))
+    return Cell(float(values.mean()), float(values.mean()) - reach, float(values.mean()) + reach)
 
 
-def analyse(study: Study, lines: Sequence[FloorRun]) -> Page:
-    """Sentences, table and figure."""
-    data, cells = study.data, {}
-    for name, agent, repeats in (
-            ("an agent that knows the room configuration and remembers the floors below", data["ceiling"], True),
-            ("the same agent, forgetting each floor", data["ceiling"], False),
-            ("the searcher that learns nothing", data["searcher"], True)):
+def analyse(study: Study, lines: Sequence[FloorRun]) -> Findings:
+    """Efficiency in each room of the sequences, and the gain from the first to the last.
+
+    Raises:
+        ComparisonError: an agent was not played in every room.
+    """
+    data, found = study.data, {}
+    for name, agent, repeats in (("Bayes planner, remembering", data["ceiling"], True),
+                                 ("Bayes planner, forgetting", data["ceiling"], False),
+                                 ("search baseline", data["searcher"], True)):
         own = sorted((line for line in lines if (line.agent, line.repeats) == (agent, repeats)), key=lambda o: o.floor)
         if len(own) != data["floors"]:
-            raise ComparisonError(f"{agent} was not played on every floor")
-        cells[name] = [np.array(line.efficiencies) for line in own]
-    sentences = [tell(floors, name) for name, floors in cells.items()]
-    rows = [[name, *(f"{floor.mean():.3f}" for floor in floors)] for name, floors in cells.items()]
-    head = ["", *(f"floor {number}" for number in range(1, data["floors"] + 1))]
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(7.2, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.add_subplot(xlabel="floor", ylabel="efficiency", ylim=(0, 1.03))
-        for (name, floors), colour in zip(cells.items(), (palette.LINES[0], palette.MUTED, palette.LINES[1]),
-                                          strict=True):
-            error = [1.96 * float(stats.sem(floor)) for floor in floors]
-            axes.errorbar(range(1, len(floors) + 1), [floor.mean() for floor in floors], error, fmt="o-", color=colour,
-                          capsize=3, label=name)
-        finish_axes(axes)
-        axes.legend(loc="lower left", frameon=False)
-    return Page({"headline": sentences[0], "sentences": sentences[1:], "table": make_table(head, rows),
-                 "count": len(next(iter(cells.values()))[0]), **data}, {"storeys": figure}, sentences)
+            raise ComparisonError(f"{agent} was not played in every room of the sequences")
+        found[name] = [np.array(line.efficiencies) for line in own]
+    cells = {name: [summarise(values) for values in own] for name, own in found.items()}
+    gains = {name: summarise(own[-1] - own[0]) for name, own in found.items()}
+    table = make_table(["agent", *(f"room {number}" for number in range(1, data["floors"] + 1)), "last less first"], [
+        [name, *(format_interval(cell, ".3f") for cell in own), format_interval(gains[name], "+.3f")]
+        for name, own in cells.items()])
+    remembering, forgetting, searching = gains.values()
+    return Findings(
+        SimpleNamespace(remembering=remembering, forgetting=forgetting, searching=searching,
+                        count=len(found["search baseline"][0]), data=data),
+        {"sequences": table}, {"storeys": lambda theme: draw(cells, theme)})
+
+
+def draw(cells: Mapping[str, Sequence[Cell]], theme: Theme) -> Figure:
+    """Draw the efficiency in each room of the sequences."""
+
+    def draw_axes(axes: Axes) -> None:
+        for (name, own), colour, shift in zip(cells.items(), (theme.lines[0], theme.lines[1], theme.muted),
+                                              (-0.06, 0.04, -0.06), strict=True):
+            places = range(1, len(own) + 1)
+            for place, cell in zip(places, own, strict=True):
+                axes.plot([place] * 2, [cell.low, cell.high], color=colour, linewidth=1.4, alpha=0.6)
+            axes.plot(places, [cell.mean for cell in own], "o-", color=colour, linewidth=2.2, markersize=5)
+            write_label(axes, 2.05, own[-1].mean + shift, name, colour)
+        axes.set(xlabel="room of the sequence", ylabel="efficiency", ylim=(0.5, 1.02), xlim=(0.85, 3.15))
+        axes.set_xticks(range(1, len(next(iter(cells.values()))) + 1))
+
+    return make_figure(theme, draw_axes, height=3.2)

@@ -1,32 +1,29 @@
-"""Callers of tools on rungs of the ladder: games, recordings that are replayed, what each level of telling adds."""
+"""Callers of tools on rungs of the ladder: games, replayed recordings, and what each level of `reveal` adds."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 from rich.console import Console
 
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.pictures import palette
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets.grammar import find_set
 from hrl_escape.text import Score, TextEnv, ToolsAgent, make_model, verify_games
-from studies.figures import FIGURE_STYLE
-from studies.page import make_table
 from studies.running import StudyArgs
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "Args", "GameRun", "Gain", "analyse", "compute_gain", "measure", "play_game", "tell_gain"]
+__all__ = ["LINES", "Args", "GameRun", "Gain", "analyse", "compute_gain", "measure", "play_game"]
 
 SEED = 0
 """Episode seed of every game."""
@@ -117,23 +114,21 @@ def measure(study: Study, args: Args, store: Store) -> None:
         console.print(f"{path.name}: {len(games)} games replayed to the same bytes", markup=False)
 
 
-# --- levels ----------------------------------------------------------------------------------
+# --- findings --------------------------------------------------------------------------------
 
 
 class Gain(NamedTuple):
     """Efficiency that one caller has above another, over the rooms of all rungs.
 
     Attributes:
-        value: mean difference, rungs weighted alike.
+        mean: difference, rungs weighted alike.
         low: lower end of its 95 % interval over rooms.
         high: upper end.
-        by_rung: mean difference on each rung.
     """
 
-    value: float
+    mean: float
     low: float
     high: float
-    by_rung: Mapping[str, float]
 
 
 def compute_gain(one: Sequence[GameRun], other: Sequence[GameRun], resamples: int) -> Gain:
@@ -152,93 +147,39 @@ def compute_gain(one: Sequence[GameRun], other: Sequence[GameRun], resamples: in
     rng = np.random.default_rng(0)
     drawn = np.mean([rng.choice(values, (resamples, len(values))).mean(axis=1) for values in by_rung.values()], axis=0)
     low, high = np.quantile(drawn, [0.025, 0.975])
-    means = {rung: float(np.mean(values)) for rung, values in by_rung.items()}
-    return Gain(float(np.mean([*means.values()])), float(low), float(high), means)
+    return Gain(float(np.mean([np.mean(values) for values in by_rung.values()])), float(low), float(high))
 
 
-def tell_gain(what: str, than: str, gain: Gain) -> str:
-    """One sentence: what being told more adds to something, takes away, or is not shown to do, and on which rungs."""
-    numbers = f"{gain.value:+.2f} ({gain.low:+.2f} to {gain.high:+.2f})"
-    if len(gain.by_rung) > 1:
-        least, most = (pick(gain.by_rung, key=lambda rung: gain.by_rung[rung]) for pick in (min, max))
-        numbers += f", from {gain.by_rung[least]:+.2f} in `{least}` to {gain.by_rung[most]:+.2f} in `{most}`"
-    if gain.low > 0:
-        return f"{what} raises efficiency over {than}, by {numbers}."
-    if gain.high < 0:
-        return f"{what} lowers efficiency below {than}, by {numbers}."
-    return f"These rooms do not show that {what[0].lower()}{what[1:]} changes efficiency from {than}: {numbers}."
+STEPS = {"memory": ("search-random", "random"), "places": ("search-nearest", "search-random"),
+         "model": ("oracle", "search-nearest")}
+"""What is added -> the caller that has it, and the one without."""
 
 
-STEPS = (("search-random", "random", "Remembering what was tried and seeing what is on", "choices at random"),
-         ("search-nearest", "search-random", "Being told where things are", "names alone"),
-         ("oracle", "search-nearest", "Being told the symbolic model", "being told where things are"))
-"""Pairs of callers of which the first is told, or does, more; and in words, what, and what the second has."""
-
-
-def tell_steps(gains: Mapping[tuple[str, str], Gain]) -> Iterator[str]:
-    """A sentence a step, by what is added to what; the largest one that is sure comes first, for the headline."""
-    sure = sorted((what for what, gain in gains.items() if gain.low > 0), key=lambda what: -gains[what].value)
-    for what in [*sure, *(what for what in gains if what not in sure)]:
-        yield tell_gain(*what, gains[what])
-
-
-# --- page ------------------------------------------------------------------------------------
-
-
-def analyse(study: Study, lines: Sequence[GameRun]) -> Page:
-    """Sentences, table and figure.
+def analyse(study: Study, lines: Sequence[GameRun]) -> Findings:
+    """Scores of callers, and what each level of `reveal` adds.
 
     Raises:
         ComparisonError: there are no games.
     """
     if not lines:
-        raise ComparisonError("there are no games to tell of")
+        raise ComparisonError("there are no games")
     of: dict[tuple[str, str], list[GameRun]] = {}
     for run in lines:
         of.setdefault((run.caller, run.told), []).append(run)
     managers = {caller: own for (caller, _), own in of.items()}
-    gains = {(what, than): compute_gain(managers[one], managers[other], study.data["resamples"])
-             for one, other, what, than in STEPS if one in managers and other in managers}
-    headline, *sentences = tell_steps(gains)
-    words = {caller["manager"]: caller["words"] for caller in study.data["callers"]}
+    gains = {what: compute_gain(managers[one], managers[other], study.data["resamples"])
+             for what, (one, other) in STEPS.items() if one in managers and other in managers}
     rungs = study.data["rungs"]
-    rows = [_make_row(caller, told, words, own, rungs) for (caller, told), own in of.items()]
-    header = ["caller", "told", *rungs, "calls", "wrong calls", "characters"]
-    return Page({"headline": headline, "sentences": sentences, "table": make_table(header, rows),
-                 "rooms": study.data["rooms"]}, {"tools": draw(of, words, rungs)}, [headline, *sentences])
+    words = {caller["manager"]: caller["words"] for caller in study.data["callers"]}
+    return Findings(SimpleNamespace(gains=gains), {"tools": make_table(
+        ["caller", "`reveal`", *(f"`{rung}`" for rung in rungs), "calls", "wrong calls", "characters read"],
+        [_make_row(caller, told, words, own, rungs) for (caller, told), own in of.items()])})
 
 
 def _make_row(caller: str, told: str, words: Mapping[str, str], own: Sequence[GameRun], rungs: Sequence[str]
               ) -> list[str]:
-    name = f"*{caller}*" if own[0].recorded else f"`{caller}`: {words.get(caller, '')}"
+    name = f"*{caller}*" if own[0].recorded else f"`{caller}`: {words[caller]}"
     efficiency = {rung: [run.efficiency for run in own if run.rung == rung] for rung in rungs}
-    return [name, told, *(f"{np.mean(values):.2f}" if values else "—" for values in efficiency.values()),
+    return [name, f"`{told}`", *(f"{np.mean(values):.2f}" if values else "" for values in efficiency.values()),
             f"{np.mean([run.decisions for run in own]):.1f}", f"{np.mean([run.invalid_calls for run in own]):.1f}",
             f"{np.mean([run.characters for run in own]):,.0f}"]
-
-
-def draw(of: Mapping[tuple[str, str], Sequence[GameRun]], words: Mapping[str, str], rungs: Sequence[str]) -> Figure:
-    """Mean efficiency on each rung, with intervals over rooms."""
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(7.6, 3.8), facecolor=palette.BACKGROUND, layout="constrained")
-        axes, rng = figure.add_subplot(), np.random.default_rng(0)
-        for number, ((caller, told), own) in enumerate(of.items()):
-            shift, points = 0.12 * (number - (len(of) - 1) / 2), []
-            for place, rung in enumerate(rungs):
-                values: list[float] = [run.efficiency for run in own if run.rung == rung]
-                if values:
-                    means = rng.choice(values, (2_000, len(values))).mean(axis=1)
-                    points.append((place + shift, np.mean(values), *np.quantile(means, [0.025, 0.975])))
-            at, middle, low, high = (np.array(each) for each in zip(*points, strict=True))
-            label: Any = f"{words.get(caller, caller)} ({told})"
-            axes.errorbar(at, middle, np.maximum([middle - low, high - middle], 0), fmt="o", markersize=5,
-                          linewidth=1.4, color=palette.LINES[number % len(palette.LINES)], label=label)
-        axes.set_xticks(range(len(rungs)), rungs)
-        axes.set(ylim=(0, 1.05), ylabel="efficiency")
-        axes.grid(axis="y", color="#e5dfd2", linewidth=0.8)
-        axes.set_axisbelow(True)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-        axes.tick_params(colors=palette.MUTED, labelcolor=palette.INK)
-        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
-    return figure

@@ -1,4 +1,4 @@
-"""SAC over options beside SAC over velocities, both in seconds of motion: how it ends, and how soon it first escapes.
+"""SAC over options and SAC over velocities, both in seconds of motion: how it ends, and how soon it first escapes.
 
 All act in the same continuous rooms. What counts is the mean time of the episodes that end in the last fifth of
 training, where one that does not escape counts with the time limit.
@@ -11,16 +11,14 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from types import SimpleNamespace
+from typing import Any
 
 import gymnasium
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-from numpy.typing import NDArray
 from rich.console import Console
 
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
@@ -29,22 +27,18 @@ from hrl_escape.benchmark.references.registry import SEARCH_BASELINES, make_refe
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.kinematics import EpisodeEnd
-from hrl_escape.env.pictures import palette
 from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ComparisonError, EscapeError
-from hrl_escape.names import count_nouns, join_words
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.motion.trajectory import make_trajectory, track
 from hrl_escape.planning.planner import RoomPlanner
-from studies.figures import FIGURE_STYLE, finish_axes
-from studies.page import make_table
 from studies.running import StudyArgs
-from studies.statistics import Difference, compare_signs
+from studies.statistics import compare_signs
 from studies.store import Store
-from studies.study import Page, Study
+from studies.study import Findings, Study
+from studies.tables import make_table
 
-__all__ = ["LINES", "Args", "VelocityRun", "advise", "analyse", "make_room", "measure", "run_once", "tell_ends",
-           "tell_first_escapes", "tell_headline", "tell_searchers"]
+__all__ = ["LINES", "Args", "VelocityRun", "analyse", "make_room", "measure", "run_once"]
 
 OPTIONS, VELOCITIES = "SAC over options", "SAC over velocities"
 CHANCE = ("random options", "random velocities")
@@ -243,116 +237,44 @@ def measure(study: Study, args: Args, store: Store) -> None:
             console.print(f"{agent}, {room}, seed {seed}: {line.end:.1f} s at the end", highlight=False)
 
 
-# --- words -----------------------------------------------------------------------------------
+# --- findings --------------------------------------------------------------------------------
 
 
-Pair: TypeAlias = tuple[Sequence[float], Sequence[float]]
-"""Numbers of SAC over options and of SAC over velocities, run by run."""
+def analyse(study: Study, lines: Sequence[VelocityRun]) -> Findings:
+    """Seconds of an episode at the end of training and of motion until the first escape, in each room.
 
-
-def compare(pairs: Mapping[str, Pair]) -> dict[str, Difference]:
-    """The first number of each pair less the second, those of all rooms as one family."""
-    return compare_signs({name: np.subtract(*pair) for name, pair in pairs.items()})
-
-
-def tell_headline(ends: Mapping[str, Pair]) -> str:
-    """In which rooms which of the two escapes sooner at the end of training."""
-    parts = [f"{who} escapes sooner with {join_words(rooms)}"
-             for who, rooms in zip((OPTIONS, VELOCITIES), _list_sooner(ends), strict=True) if rooms]
-    return (", ".join(parts) or "No room tells SAC over options and SAC over velocities apart") + "."
-
-
-def advise(ends: Mapping[str, Pair]) -> str:
-    """Advice to a user that follows from the rooms."""
-    options, velocities = _list_sooner(ends)
-    if options and velocities:
-        return f"With {join_words(options)} give a robot options; with {join_words(velocities)} velocities end sooner."
-    if options:
-        return "Give a robot options: velocities do not make up for them."
-    return "Velocities are enough in such rooms." if velocities else "In such rooms choose by what your robot takes."
-
-
-def _list_sooner(ends: Mapping[str, Pair]) -> list[list[str]]:
-    """Rooms in which SAC over options is shown to escape sooner at the end, and those in which velocities are."""
-    found = compare(ends)
-    return [[room for room, gap in found.items() if gap.sign == sign] for sign in (-1, 1)]
-
-
-def tell_ends(ends: Mapping[str, Pair]) -> list[str]:
-    """A sentence a room: who escapes sooner at the end of training, options or velocities.
-
-    Args:
-        ends: room -> seconds of an episode over options and over velocities, run by run.
+    Raises:
+        ComparisonError: a room has no pair of learners, or a reference is missing.
     """
-    sentences = []
-    for room, gap in compare(ends).items():
-        options, velocities = (float(np.mean(own)) for own in ends[room])
-        told = (f"({options:.1f} s over options, {velocities:.1f} s over velocities; a difference of {gap.mean:+.1f} "
-                f"s, {gap.low:+.1f} to {gap.high:+.1f})")
-        sentences.append(f"**{room.capitalize()}.** At the end of training, " + {
-            -1: f"SAC over options escapes sooner than SAC over velocities {told}.",
-            0: f"no difference between SAC over options and over velocities is shown {told}.",
-            1: f"SAC over velocities escapes sooner than SAC over options {told}."}[gap.sign])
-    return sentences
-
-
-def tell_first_escapes(firsts: Mapping[str, Pair], budget: float = math.inf) -> list[str]:
-    """A sentence a room: which of the two finds its first way out sooner, by the geometric mean of the ratios.
-
-    Args:
-        firsts: room -> seconds to the first escape over options and over velocities, run by run; the whole budget
-            where none came.
-        budget: seconds of a run.
-    """
-    sentences = []
-    for room, gap in compare({room: _take_logarithms(pair) for room, pair in firsts.items()}).items():
-        ratio, low, high = (math.exp(value) for value in (-gap.mean, -gap.high, -gap.low))
-        never = [[seconds >= budget for seconds in own] for own in firsts[room]]
-        told = f"{_name_bound(*never)}{ratio:.1f} times the motion ({low:.1f} to {high:.1f})"
-        if any(map(any, never)):
-            told += (f"; runs that never escape, {sum(never[0])} of {len(never[0])} over options and {sum(never[1])} "
-                     "over velocities, count with the whole budget")
-            if both := sum(map(all, zip(*never, strict=True))):
-                told += f", so that {count_nouns(both, 'pair')} of {len(never[0])} count{'s' * (both == 1)} as equal"
-        sentences.append(f"**{room.capitalize()}, first escape.** " + {
-            -1: f"Over velocities it costs {told}.",
-            0: f"That options find it sooner is not shown: velocities take {told}.",
-            1: f"Velocities find it sooner: they take {told}."}[gap.sign])
-    return sentences
-
-
-def _name_bound(options: Sequence[bool], velocities: Sequence[bool]) -> str:
-    """Words before a ratio of velocities to options that is only a bound, by which runs never escape, pair by pair.
-
-    A pair in which neither does bounds nothing.
-    """
-    alone = {by_options for by_options, by_velocities in zip(options, velocities, strict=True)
-             if by_options != by_velocities}
-    return "" if len(alone) != 1 else "less than " if True in alone else "more than "
-
-
-def _take_logarithms(pair: Pair) -> Pair:
-    return np.log(pair[0]).tolist(), np.log(pair[1]).tolist()
-
-
-def tell_searchers(ends: Mapping[str, Pair], searchers: Mapping[str, float]
-                   ) -> list[str]:
-    """A sentence a room: each learner against the best searcher over options, which learns nothing."""
-    gaps = compare({f"{room}/{who}": (own, [searchers[room]] * len(own)) for room, pair in ends.items()
-                    for who, own in zip((OPTIONS, VELOCITIES), pair, strict=True)})
-    sentences = []
-    for room in ends:
-        told = [f"{who} {('needs less', 'is not told apart from it', 'needs more')[gap.sign + 1]} "
-                f"({np.mean(own):.1f} s)"
-                for who, own in zip((OPTIONS, VELOCITIES), ends[room], strict=True)
-                for gap in [gaps[f"{room}/{who}"]]]
-        sentences.append(f"**{room.capitalize()}, searching.** The best searcher over options, which learns nothing, "
-                         f"needs {searchers[room]:.1f} s; at the end of training {told[0]}, and {told[1]}.")
-    return sentences
+    data, budget = study.data, study.data["steps"] * study.data["time_step"]
+    agents = (OPTIONS, VELOCITIES, *CHANCE, *data["searchers"], ORDER, PLAN)
+    of = {(room, agent): sorted((line for line in lines if (line.room, line.agent) == (room, agent)
+                                 and line.steps in (0, data["steps"]) and line.key == make_key(data, agent, room)),
+                                key=lambda line: line.run) for room in data["rooms"] for agent in agents}
+    if missing := [f"{agent} in {room}" for (room, agent), own in of.items() if not own]:
+        raise ComparisonError(f"there is no run of {missing[0]}")
+    pairs = {room: [{line.run: line for line in of[room, agent]} for agent in (OPTIONS, VELOCITIES)]
+             for room in data["rooms"]}
+    ends = compare_signs({room: [options[seed].end - velocities[seed].end
+                                 for seed in sorted(options.keys() & velocities.keys())]
+                          for room, (options, velocities) in pairs.items()})
+    searched = {room: min(of[room, name][0].end for name in data["searchers"] if name in SEARCH_BASELINES)
+                for room in data["rooms"]}
+    never = {(room, agent): sum(line.first_escape is None for line in of[room, agent])
+             for room in data["rooms"] for agent in (OPTIONS, VELOCITIES)}
+    head = ["", *itertools.chain.from_iterable((f"{room}: end, s", "first escape, s") for room in data["rooms"])]
+    return Findings(
+        SimpleNamespace(ends=ends, searched=searched, never=never,
+                        means={cell: float(np.mean([line.end for line in own])) for cell, own in of.items()},
+                        runs=min(len(options.keys() & velocities.keys()) for options, velocities in pairs.values())),
+        {"velocities": make_table(head, [
+            [AgentSpec.parse(agent).title if agent in data["searchers"] else agent,
+             *itertools.chain.from_iterable(describe(of[room, agent], budget) for room in data["rooms"])]
+            for agent in agents])})
 
 
 def describe(runs: Sequence[VelocityRun], budget: float) -> list[str]:
-    """Cells of the table: time at the end and first escape, means over runs with their range."""
+    """Cells of the table: time at the end, mean over runs with their range, and the median of the first escapes."""
     ends = [run.end for run in runs]
     cells = [f"{np.mean(ends):.1f}" + (f" ({min(ends):.1f} to {max(ends):.1f})" if len(runs) > 1 else "")]
     if len(runs) == 1:
@@ -361,64 +283,3 @@ def describe(runs: Sequence[VelocityRun], budget: float) -> list[str]:
     middle = float(np.median(firsts))
     missed = sum(map(math.isinf, firsts))
     return [*cells, (f"{middle:,.0f}" if middle < budget else "none") + (f"; {missed} never" if missed else "")]
-
-
-def analyse(study: Study, lines: Sequence[VelocityRun]) -> Page:
-    """Sentences, table and figure.
-
-    Raises:
-        ComparisonError: a room has no pair of learners, or a reference is missing.
-    """
-    data, budget = study.data, study.data["steps"] * study.data["time_step"]
-    by_place = {(room, agent): sorted((line for line in lines if (line.room, line.agent) == (room, agent)
-                                       and line.steps in (0, data["steps"])
-                                       and line.key == make_key(data, agent, room)),
-                                      key=lambda line: line.run)
-                for room in data["rooms"] for agent in (OPTIONS, VELOCITIES, *CHANCE, ORDER, PLAN, *data["searchers"])}
-    if missing := [f"{agent} in {room}" for (room, agent), own in by_place.items() if not own]:
-        raise ComparisonError(f"there is no run of {missing[0]}")
-    ends, firsts = {}, {}
-    for room in data["rooms"]:
-        own = [{line.run: line for line in by_place[room, agent]} for agent in (OPTIONS, VELOCITIES)]
-        seeds = sorted(own[0].keys() & own[1].keys())
-        ends[room] = tuple([runs[seed].end for seed in seeds] for runs in own)
-        firsts[room] = tuple([runs[seed].first_escape or budget for seed in seeds] for runs in own)
-    searchers = {room: min(by_place[room, name][0].end for name in data["searchers"] if name in SEARCH_BASELINES)
-                 for room in data["rooms"]}
-    rows = [[f"`{agent}`" if agent in data["searchers"] else agent,
-             *itertools.chain.from_iterable(describe(by_place[room, agent], budget) for room in data["rooms"])]
-            for agent in (OPTIONS, VELOCITIES, *CHANCE, *data["searchers"], ORDER, PLAN)]
-    head = ["", *itertools.chain.from_iterable((f"{room}: end, s", "first escape, s") for room in data["rooms"])]
-    told = [tell_ends(ends), tell_first_escapes(firsts, budget), tell_searchers(ends, searchers)]
-    sentences = [sentence for room in zip(*told, strict=True) for sentence in room]
-    return Page({"headline": tell_headline(ends), "advice": advise(ends), "sentences": sentences,
-                 "table": make_table(head, rows), "budget": budget,
-                 "runs": min(len(pair[0]) for pair in ends.values())},
-                {"velocities": draw(data, by_place, searchers)}, sentences)
-
-
-def draw(data: Mapping[str, Any], by_place: Mapping[tuple[str, str], Sequence[VelocityRun]],
-         searchers: Mapping[str, float]) -> Figure:
-    """Seconds of an episode over the course of training, a panel a room; a thin line a run, a thick one their mean."""
-    budget = data["steps"] * data["time_step"]
-    with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(8.4, 3.4), facecolor=palette.BACKGROUND, layout="constrained")
-        panels: Any = figure.subplots(1, len(data["rooms"]), sharey=True, squeeze=False)
-        at: NDArray[np.float64] = (np.arange(PARTS) + 0.5) * budget / PARTS
-        for axes, room in zip(panels[0], data["rooms"], strict=True):
-            axes.set(title=room, xlabel="seconds of motion trained for", yscale="log")
-            for agent, colour in zip((OPTIONS, VELOCITIES), palette.LINES, strict=False):
-                curves = np.array([[math.nan if time is None else time for time in run.times]
-                                   for run in by_place[room, agent]])
-                axes.plot(at, curves.T, color=colour, alpha=0.25, linewidth=0.8)
-                axes.plot(at, np.ma.masked_invalid(curves).mean(axis=0), "o-", color=colour, markersize=3, label=agent)
-            for time, style, label in ((searchers[room], "--", "best searcher over options"),
-                                       (by_place[room, PLAN][0].end, ":", "the planner's trajectory")):
-                axes.axhline(time, linestyle=style, color=palette.MUTED, linewidth=1.2, label=label)
-            finish_axes(axes)
-            axes.yaxis.set_major_locator(FixedLocator([5, 10, 20, 50, 100, 200]))
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.yaxis.set_minor_locator(NullLocator())
-        panels[0][0].set_ylabel("seconds of an episode")
-        panels[0][-1].legend(loc="lower left", frameon=False, fontsize=8)
-    return figure

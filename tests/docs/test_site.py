@@ -192,11 +192,18 @@ def test_every_tutorial_is_on_the_site_and_tested():
     assert scripts == set(TUTORIALS) == {path.stem for path in (ROOT / "docs/tutorials").glob("*.md")} - {"index"}
 
 
+def test_figures_of_results_follow_the_theme(site: Path):
+    page = (site / "results" / "do-options-help.html").read_text(encoding="utf-8")
+    assert re.search(r'<img[^>]*class="only-light"[^>]*price\.svg', page)
+    assert re.search(r'<img[^>]*class="only-dark"[^>]*price-dark\.svg', page)
+
+
 def test_every_result_is_a_card_with_its_finding(site: Path):
     """The first words in bold on the result's own page."""
     index = (site / "results" / "index.html").read_text(encoding="utf-8")
     cards = index.split('class="finding-card')[1:]
     assert len(cards) == len(list((ROOT / "docs/results").glob("*.md"))) - 1
-    reach = re.search(r"\*\*(.+?)\*\*", (ROOT / "docs/results/buttons.md").read_text(encoding="utf-8"))
-    assert reach and reach[1] in cards[0] and "buttons.svg" in cards[0] and 'href="buttons.html"' in cards[0]
+    first = re.search(r"\*\*(.+?)\*\*", (ROOT / "docs/results/do-options-help.md").read_text(encoding="utf-8"))
+    assert first and first[1] in cards[0] and 'href="do-options-help.html"' in cards[0]
+    assert "price.svg" in cards[0] and "price-dark.svg" in cards[0]
     assert all(len(re.sub(r"<[^>]*>", "", card.partition("</div>")[0]).split()) > 10 for card in cards)

@@ -1,4 +1,4 @@
-"""The ladder at its own budgets: sentences from data of other truths, and a real run of each learner."""
+"""The ladder at its own budgets: comparisons of known data, and a real run of each learner."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import pytest
 from hrl_escape.benchmark.protocols import get_budget
 from hrl_escape.errors import UnknownNameError
 from studies.baseline import BaselineRun
-from studies.budgets.analysis import Args, identify, measure, run_once, tell_budget
+from studies.budgets.analysis import Args, compare_budgets, identify, measure, run_once
 from studies.running import open_store
 from studies.study import find_study
-from tests.studies.pages import tell
 
 STUDY = find_study("budgets")
 PPO, DQN, DAC, MEMORY = STUDY.data["agents"]
@@ -35,42 +34,33 @@ def make_lines(efficiency: Callable[[str, str], float], primitives: int | None =
             for agent in STUDY.data["agents"] for rung in RUNGS for room in range(10)]
 
 
-@pytest.mark.nightly
-def test_who_beats_the_best_searcher_is_the_headline(tmp_path: Path):
-    page = tell("budgets", make_lines(lambda agent, rung: 0.95 if agent == DQN else 0.3), tmp_path)
-    assert re.search(rf"\*\*1 of 4 learners beat the best searcher that learns nothing: `{re.escape(DQN)}` \(\+0\.3\d, "
-                     r"\+0\.\d\d to \+0\.\d\d, over 2 rungs\)\.\*\*", page)
-    assert "| rung | `random-options` |" in page and f"`{MEMORY}` |" in page
-    assert "| `lattice-5` | 0.20 (10) |" in page, "who learns nothing, from the study of the ladder"
-    assert "python -m studies budgets --rungs lattice-5 lattice --runs 1 --workers 2" in page
-    assert "Not run yet: `reach`, `doors`, `drift`, `code`, " in page and "`switchboard`." in page
-    assert (tmp_path / "figures/budgets.svg").stat().st_size > 5_000
-    assert "**No learner is shown to beat the best searcher" in tell("budgets", make_lines(lambda agent, rung: 0.5))
-
-
-def test_runs_with_another_budget_than_the_rungs_own_do_not_count():
-    page = tell("budgets", [*make_lines(lambda agent, rung: 0.4),
-                            *make_lines(lambda agent, rung: 1.0, primitives=2_000_000)])
-    assert "No learner is shown to beat" in page and "80 runs, each from 16 copies" in page
-
-
 def group(lines: list[BaselineRun]) -> dict[tuple[str, str], list[BaselineRun]]:
     return {(agent, rung)[::-1]: [line for line in lines if (line.agent, line.rung) == (agent, rung)]
             for agent in STUDY.data["agents"] for rung in RUNGS}
 
 
-def test_what_more_primitives_bring_is_told_room_by_room():
+def test_learners_are_compared_with_the_best_search_baseline_of_the_ladder_study():
+    found = STUDY.analysis.analyse(STUDY, make_lines(lambda agent, rung: 0.95 if agent == DQN else 0.3))
+    assert {agent for agent, (each, _) in found.numbers.beyond.items() if each.sign > 0} == {DQN}
+    assert {rungs for _, rungs in found.numbers.beyond.values()} == {2}
+    assert "| rung | random policy over options |" in found.tables["budgets"], "references are from the ladder study"
+    assert "| `lattice-5` | 0.20 (10) |" in found.tables["budgets"]
+
+
+def test_runs_with_another_budget_than_the_rungs_own_do_not_count():
+    found = STUDY.analysis.analyse(STUDY, [*make_lines(lambda agent, rung: 0.4),
+                                           *make_lines(lambda agent, rung: 1.0, primitives=2_000_000)])
+    assert found.numbers.runs == 80 and not any(each.sign > 0 for each, _ in found.numbers.beyond.values())
+
+
+def test_a_larger_budget_is_compared_room_by_room():
     former = group(make_lines(lambda agent, rung: 0.5, primitives=20_000))
-    told = tell_budget(group(make_lines(lambda agent, rung: {PPO: 0.8, DQN: 0.5}.get(agent, 0.3))), former, RUNGS)
-    assert re.match("Beside the same learner with 20,000 primitives in one copy of the room, so that budget and copies "
-                    "both differ, "
-                    rf"`{re.escape(PPO)}` gains 0\.(29|30|31) ", told)
-    assert f"`{DQN}` is not shown to gain or lose, " in told
-    assert re.search(rf"`{re.escape(DAC)}` loses 0\.[12]\d \(0\.[12]\d to 0\.2\d, over 2 rungs\)", told)
-    assert told.count("over 2 rungs") == 4
+    found = compare_budgets(group(make_lines(lambda agent, rung: {PPO: 0.8, DQN: 0.5}.get(agent, 0.3))), former, RUNGS)
+    assert found[PPO].mean == pytest.approx(0.3, abs=0.02) and found[PPO].sign == 1
+    assert found[DQN].sign == 0 and found[DAC].sign == -1
     del former["lattice", PPO], former["lattice-5", PPO]
-    assert f"`{PPO}`" not in tell_budget(group(make_lines(lambda agent, rung: 0.8)), former, RUNGS)
-    assert not tell_budget(group(make_lines(lambda agent, rung: 0.8)), {}, RUNGS)
+    assert PPO not in compare_budgets(group(make_lines(lambda agent, rung: 0.8)), former, RUNGS)
+    assert not compare_budgets(group(make_lines(lambda agent, rung: 0.8)), {}, RUNGS)
 
 
 def test_names_that_are_unknown_are_refused(tmp_path: Path):

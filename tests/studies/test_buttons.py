@@ -1,12 +1,12 @@
-"""First escape against buttons: runs that end with it, the fit of growth, and sentences from data of other truths."""
+"""First escape against buttons: runs that end with it, and rules with data of other truths."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,34 +16,21 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.sampling.generation import generate
-from studies.buttons.analysis import (
-    Args,
-    EscapeRun,
-    advise,
-    compare_searchers,
-    draw,
-    find_reach,
-    fit_growth,
-    list_times,
-    measure,
-    run_once,
-    tell_growth,
-    tell_reach,
-    tell_searchers,
-)
+from hrl_escape.errors import ComparisonError
+from studies.buttons.analysis import Args, EscapeRun, Size, analyse, find_reach, measure, run_once
+from studies.pages.buttons import RULES
 from studies.running import open_store
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
 from studies.study import find_study
-from tests.studies.pages import tell
 
 SIZES = (2, 3, 4, 6, 8, 10, 12, 15, 20)
 BUDGET = 100_000
-LEARNER, SEARCHER = "smdp-dqn", "search-nearest"
-WORDS = {LEARNER: "a learner", SEARCHER: "a searcher"}
+STUDY = find_study("buttons")
+FLAT, OPTIONS, MEMORY, SEARCHER, STRUCTURE = STUDY.data["agents"]
 
 
-def make_runs(law: Callable[[int], float], agent: str = LEARNER, spread: float = 0.2) -> list[EscapeRun]:
+def make_runs(agent: str, law: Callable[[int], float], spread: float = 0.2) -> list[EscapeRun]:
     """Runs whose logarithms scatter around a law; those beyond the budget do not escape."""
     rng = np.random.default_rng(7)
     times = {(size, run): law(size) * math.exp(spread * rng.normal()) for size in SIZES for run in range(10)}
@@ -51,100 +38,43 @@ def make_runs(law: Callable[[int], float], agent: str = LEARNER, spread: float =
             for (size, run), time in times.items()]
 
 
-def fit(runs: list[EscapeRun]):
-    return fit_growth(runs, np.random.default_rng(0))
+def find(**laws: Callable[[int], float]) -> SimpleNamespace:
+    """Numbers of runs in which search needs 10 n^1.2, structure 25 n^1.2, and others stop, but for what is given."""
+    truth = {FLAT: lambda n: 2_000 * n if n <= 4 else 2 * BUDGET,
+             OPTIONS: lambda n: 40 * n**1.5 if n <= 12 else 2 * BUDGET,
+             MEMORY: lambda n: 30 * n**1.5 if n <= 15 else 2 * BUDGET, SEARCHER: lambda n: 10 * n**1.2,
+             STRUCTURE: lambda n: 25 * n**1.2} | {dict(search=SEARCHER, structure=STRUCTURE, memory=MEMORY)[name]: law
+                                                  for name, law in laws.items()}
+    runs = [run for agent, law in truth.items() for run in make_runs(agent, law)]
+    return SimpleNamespace(buttons=analyse(STUDY, runs).numbers)
 
 
-@pytest.mark.nightly
-def test_a_power_law_is_found_with_its_exponent_and_told_from_an_exponential():
-    growth = fit(make_runs(lambda n: 20 * n**1.6))
-    assert growth is not None and growth.low < 1.6 < growth.high and growth.high - growth.low < 0.4
-    assert growth.power > 0.99 and growth.largest == 20
-    low, high = growth.band[-1][1:]
-    assert growth.band[-1][0] == 20 and low < 20 * 20**1.6 < high < 2 * low, "the band holds the law"
-    exact = fit(make_runs(lambda n: 2.5 * n**2, spread=0))
-    assert exact is not None and (exact.exponent, exact.factor) == pytest.approx((2, 2.5), rel=0.02)
+def test_medians_reach_and_ratio_are_those_of_the_runs():
+    numbers = find().buttons
+    assert numbers.reach == {FLAT: 4, OPTIONS: 12, MEMORY: 15, SEARCHER: 20, STRUCTURE: 20}
+    assert numbers.sizes[SEARCHER][20].median == pytest.approx(10 * 20**1.2, rel=0.2)
+    assert numbers.sizes[OPTIONS][20] == Size(0, 10, math.inf)
+    assert numbers.ratio.mean == pytest.approx(0.4, rel=0.01) and numbers.ratio.high < 0.5
+    assert all(rule(find()) for rule in RULES.values())
 
 
 def test_half_of_the_runs_is_enough_to_reach_a_size_although_their_median_is_infinite():
-    half = [EscapeRun(LEARNER, 12, 20.0, run, BUDGET, 80 if run < 5 else None) for run in range(10)]
-    assert find_reach(half) == 12 and not list_times(half)
+    half = Size(5, 10, math.inf)
+    assert find_reach({12: half, 15: Size(4, 10, math.inf)}) == 12 and find_reach({2: Size(4, 10, math.inf)}) == 0
 
 
-@pytest.mark.nightly
-def test_an_exponential_is_told_from_a_power_law():
-    growth = fit(make_runs(lambda n: 30 * 1.4**n))
-    assert growth is not None and growth.power < 0.01
-
-
-def test_sizes_with_which_fewer_than_half_of_the_runs_escape_do_not_count():
-    runs = [run for run in make_runs(lambda n: 10 * n) if run.buttons <= 6]
-    failed = [EscapeRun(LEARNER, 8, 20.0, run, BUDGET, 80 if run < 4 else None) for run in range(10)]
-    assert list(list_times(runs + failed)) == [2, 3, 4, 6] and find_reach(runs + failed) == 6
-    assert find_reach(failed) is None
-    assert fit([run for run in runs + failed if run.buttons != 2]) is None, "three sizes give no law"
-
-
-@pytest.mark.nightly
-def test_sentences_follow_the_data():
-    def write(learner: list[EscapeRun], searcher: list[EscapeRun]) -> list[str]:
-        both = {LEARNER: learner, SEARCHER: searcher}
-        largest = {agent: find_reach(runs) for agent, runs in both.items()}
-        return list(tell_growth({agent: fit(runs) for agent, runs in both.items()}, largest, WORDS, 20))
-
-    slow, quick = make_runs(lambda n: 40 * n**1.5), make_runs(lambda n: 10 * n**1.5, SEARCHER)
-    one, two = write(slow, quick)
-    assert re.search(r"of 20 buttons; up to 20 buttons .* n\^1\.5 \(1\.\d to 1\.\d\); a power law fits better", one)
-    steep, *_ = write(make_runs(lambda n: 30 * 2.2**n), quick)
-    assert "up to 10 of 20 buttons" in steep and "an exponential fits better" in steep
-    assert "fewer than half of the runs escape" in write(make_runs(lambda n: 2 * BUDGET), quick)[0]
-
-
-@pytest.mark.parametrize(("learner", "sentence", "advice"), [
-    (40, "**a searcher** needs 0.2", "Compare your learner with the searcher, not with chance"),
-    (10, "**a searcher** is not shown to need more or fewer primitives than **a learner**", "Compare your learner"),
-    (2, "**a searcher** needs 5", "Begin with a learner: with 20 buttons it needs fewer primitives than a searcher"),
-    (BUDGET, "", "With 20 buttons no learner stands beside a searcher"),
+@pytest.mark.parametrize(("rule", "laws"), [
+    ("search-is-first", {"memory": lambda n: 9 * n**1.2 if n == 3 else 30 * n**1.5 if n <= 15 else 2 * BUDGET}),
+    ("search-is-quicker", {"structure": lambda n: 12 * n**1.2}),
+    ("others-stop", {"memory": lambda n: 30 * n**1.5}),
 ])
-def test_the_searcher_is_held_against_learners_room_by_room(learner: float, sentence: str, advice: str):
-    of = {LEARNER: make_runs(lambda n: learner * n**1.5), SEARCHER: make_runs(lambda n: 10 * n**1.5, SEARCHER)}
-    of[LEARNER] = [dataclasses.replace(run, first_escape=run.first_escape and round(run.first_escape * (
-        1 + 0.3 * (-1) ** run.run))) for run in of[LEARNER]]
-    largest = {agent: find_reach(runs) for agent, runs in of.items()}
-    ratios = compare_searchers(of, largest, 20)
-    assert sentence in " ".join(tell_searchers(ratios, WORDS, 20)) and advise(ratios, WORDS, 20).startswith(advice)
+def test_other_truths_break_the_rules(rule: str, laws: dict[str, Callable[[int], float]]):
+    assert not RULES[rule](find(**laws))
 
 
-@pytest.mark.nightly
-def test_the_figure_shows_a_power_law_only_where_no_exponential_fits_better():
-    of = {LEARNER: make_runs(lambda n: 30 * 1.4**n), SEARCHER: make_runs(lambda n: 10 * n**1.5, SEARCHER)}
-    (axes,) = draw(of, {agent: fit(runs) for agent, runs in of.items()}, WORDS).axes
-    steep, law = (text.get_text() for text in axes.get_legend().get_texts())
-    assert steep == "a learner" and "n^{1.5}" in law
-
-
-@pytest.mark.parametrize(("largest", "sentence"), [
-    ({LEARNER: 20, SEARCHER: 20}, "A learner and a searcher still escape with 20 buttons."),
-    ({LEARNER: 4, SEARCHER: 20}, "A searcher still escapes with 20 buttons; fewer than half of the runs of a learner "
-                                 "escape beyond 4 buttons."),
-    ({LEARNER: None, SEARCHER: 6}, "Nobody still escapes with 20 buttons; fewer than half of the runs of a searcher "
-                                   "escape beyond 6 buttons and of a learner with any number of buttons."),
-    ({LEARNER: 10, SEARCHER: 10}, "Nobody still escapes with 20 buttons; fewer than half of the runs of a learner and "
-                                  "a searcher escape beyond 10 buttons."),
-])
-def test_the_headline_says_who_arrives(largest, sentence):
-    assert tell_reach(largest, WORDS, 20) == sentence
-
-
-@pytest.mark.nightly
-def test_a_page_of_another_truth_says_another_thing(tmp_path: Path):
-    agents = list(find_study("buttons").data["agents"])
-    runs = [run for agent in agents for run in make_runs(lambda n: 9 * n**1.2, agent)]
-    page = tell("buttons", runs, tmp_path)
-    assert page.count("with up to 20 of 20 buttons") == len(agents) and "fewer" not in page.split("\n")[2]
-    laws = re.findall(r"; up to 20 buttons the number of primitives grows as n\^1\.[123] .*", page)
-    assert len(laws) == len(agents) and "All rooms are 20 m wide." in page
-    assert (tmp_path / "figures/buttons.svg").stat().st_size > 10_000
+def test_a_ratio_of_runs_that_do_not_escape_is_refused():
+    with pytest.raises(ComparisonError, match="not all runs of search-nearest and smdp-factored-r-max escape"):
+        find(structure=lambda n: 25 * n**1.2 if n < 20 else 2 * BUDGET)
 
 
 # --- real runs -------------------------------------------------------------------------------

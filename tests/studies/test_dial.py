@@ -1,15 +1,21 @@
-"""Learned options on the dial: what the section says follows from the lines, and the lines from calls."""
+"""Learned options on the dial: places follow from the lines, and the lines from calls."""
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import pytest
 
 from hrl_escape.errors import ComparisonError
 from hrl_escape.settings import read_record
-from studies.learned.dial import DialLine, DialSettings, conclude_dial, describe_dial, measure_dial, place_lines
+from studies.learned.dial import (
+    DialLine,
+    DialSettings,
+    find_best_option,
+    measure_dial,
+    place_lines,
+    tabulate_dial,
+)
 from studies.store import Store
 from studies.study import find_study
 
@@ -26,47 +32,41 @@ def make_lines(worth: dict[tuple[str, int], float], runs: int = 10) -> list[Dial
                     for (name, primitives), value in worth.items() for seed in range(runs)]
 
 
-def test_another_truth_is_another_place_and_another_sentence():
+def test_another_truth_is_another_place():
     lines = make_lines({("good", 100): 0.1, ("bad", 100): 0.0, ("good", 900): 0.3, ("bad", 900): 0.05})
     placed = place_lines(lines)
     assert [(option.option, option.primitives) for option in placed] == [
         ("good", 100), ("bad", 100), ("good", 900), ("bad", 900)]
     assert [option.place.failure for option in placed] == pytest.approx([0.8, 1.0, 0.4, 0.9])
-    said = conclude_dial(lines)
-    assert said.startswith("After 900 primitives the best learned option, of `good`, is worth a planned one that "
-                           "fails 40% (")
-    assert "after 100 it was worth one that fails 80% (" in said
-    turned = conclude_dial(make_lines({("good", 900): 0.05, ("bad", 900): 0.5}))
-    assert "of `bad`, is worth a planned one that fails 0% (" in turned
+    best, _ = find_best_option(lines)
+    assert best is not None and (best.option, best.primitives) == ("good", 900)
+    turned, _ = find_best_option(make_lines({("good", 900): 0.05, ("bad", 900): 0.5}))
+    assert turned is not None and (turned.option, turned.place.failure) == ("bad", 0.0)
 
 
-def test_an_option_is_called_useless_only_where_its_interval_says_so():
-    lines = make_lines({("good", 900): 0.5, ("bad", 900): 0.0}, runs=40)
-    assert conclude_dial(lines).endswith("Worth less than one that fails every other time: `bad`.")
-    unsure = make_lines({("good", 900): 0.5, ("bad", 900): 0.24})
-    assert "every other time" not in conclude_dial(unsure)
+def test_an_option_is_worse_than_one_in_two_only_where_its_interval_shows_it():
+    assert find_best_option(make_lines({("good", 900): 0.5, ("bad", 900): 0.0}, runs=40))[1] == ["bad"]
+    assert find_best_option(make_lines({("good", 900): 0.5, ("bad", 900): 0.24}))[1] == []
 
 
 def test_the_best_of_many_has_a_wider_interval_than_one_alone():
-    alone = make_lines({("a", 900): 0.3})
-    many = make_lines({(name, 900): 0.3 for name in "abcdefghi"})
-    (low, high), (lowest, highest) = (map(int, re.findall(r"\((\d+)% to (\d+)%\)", conclude_dial(lines))[0])
-                                      for lines in (alone, many))
-    assert lowest <= low < 40 < high < highest, "Bonferroni"
-    assert place_lines(many)[0].place == place_lines(alone)[0].place, "the table's are for each alone"
+    alone, many = make_lines({("a", 900): 0.3}), make_lines({(name, 900): 0.3 for name in "abcdefghi"})
+    (one, _), (best, _) = find_best_option(alone), find_best_option(many)
+    assert one is not None and best is not None
+    assert best.place.low <= one.place.low < 0.4 < one.place.high < best.place.high, "Bonferroni"
+    assert place_lines(many)[0].place == place_lines(alone)[0].place, "intervals of the table are for each alone"
 
 
-def test_nothing_is_concluded_from_nine_runs_and_nothing_placed_without_options():
-    assert "Nothing is concluded" in conclude_dial(make_lines({("good", 900): 0.3}, runs=9))
+def test_nine_runs_give_no_best_option_and_no_options_no_place():
+    assert find_best_option(make_lines({("good", 900): 0.3}, runs=9)) == (None, [])
     with pytest.raises(ComparisonError, match="no learned option"):
-        describe_dial(CURVE)
+        find_best_option(CURVE)
 
 
-def test_the_section_shows_every_place():
-    found = describe_dial(make_lines({("good", 100): 0.1, ("bad", 900): 0.05}))
-    assert found["header"] == ["option of", "100", "900"] and found["whole"] == WHOLE
-    bad, good = sorted(found["rows"])
-    assert good[0] == "`good`" and good[1].startswith("80% (") and bad[1] == "-" and bad[2].startswith("90% (")
+def test_the_table_has_every_place():
+    table = tabulate_dial(make_lines({("smdp-hrc", 100): 0.1, ("smdp-dac", 900): 0.05}))
+    assert "| option of | 100 primitives | 900 primitives |" in table
+    assert "| HRC over options | 80% (" in table and "| DAC over options | - | 90% (" in table
 
 
 def test_lines_are_measured_once(tmp_path: Path, monkeypatch):

@@ -1,11 +1,11 @@
-"""The study of what makes SARSA worsen: its agents, effects and paths, and conclusions that follow the truth."""
+"""The study of what makes SARSA worsen: its agents, its effects, and rules with data of other truths."""
 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from scipy import stats
 
 from hrl_escape.errors import ComparisonError
 from studies.__main__ import main
+from studies.factorial.analysis import analyse
 from studies.factorial.design import (
     ALGORITHMS,
     FACTORS,
@@ -25,16 +26,15 @@ from studies.factorial.design import (
 from studies.factorial.effects import (
     Screening,
     compute_effects,
-    find_sufficient,
     measure_area,
     measure_change,
+    repeat_effects,
 )
-from studies.factorial.mediation import compute_paths
-from studies.factorial.words import advise, analyse_screening, conclude, tell_first_look, tell_fresh_runs
+from studies.pages.paper import RULES
 from studies.raw import BINS, RawRun
 from studies.statistics import choose_holm_levels
+from studies.study import find_study
 from tests.studies.made_up_runs import make_run
-from tests.studies.pages import save, tell
 
 RISE = np.linspace(0.5, 1.5, BINS)
 """Efficiency along a run, over its mean; it changes by 20/19 of the mean."""
@@ -135,95 +135,32 @@ def test_a_missing_run_is_refused():
         Screening.make("sarsa", make_runs(lambda on: 0.5)[1:])
 
 
-@pytest.mark.parametrize(("truth", "verdicts"), [
-    (lambda on: 0.1 + 0.6 * (on["exploration"] or on["buffer"]), {True}),
-    (lambda on: 0.1 + 0.6 * (on["exploration"] or on["buffer"] or on["choices"]), {True}),
-    (lambda on: 0.1 + 0.3 * on["exploration"] + 0.3 * on["buffer"] + 0.1 * on["loss"], {False}),
-    (lambda on: 0.1 + 0.6 * (on["exploration"] and on["buffer"]), {False}),
-])
-def test_alone_suffices_what_brings_most_of_what_all_bring(truth: Callable[[Levels], float], verdicts: set[bool]):
-    screening = Screening.make("sarsa", make_runs(truth))
-    found = find_sufficient(screening, compute_effects(screening, measure_area), measure_area)
-    assert len(found) >= 2 and set(found.values()) == verdicts
-
-
-# --- paths -----------------------------------------------------------------------------
-
-
-def test_a_path_is_the_product_of_the_coefficients_of_least_squares():
-    runs = make_runs(lambda on: 0.3 - 0.1 * (4 - 2 * on["exploration"]),
-                     repeat=lambda on: 4.0 - 2 * on["exploration"])
-    screening = Screening.make("sarsa", runs)
-    found = compute_paths(screening, ["exploration", "loss"], measure_area, np.random.default_rng(0), 500)
-    paths = {(path.factor, path.mediator): path for path in found}
-    design = np.tile(screening.design / 2, (20, 1))
-    blocks = np.repeat(np.eye(20), 24, axis=0)
-    repeats = np.log2([run.longest_repeat[0] or 1 for run in runs])
-    areas = [measure_area(run) for run in runs]
-    moves = np.linalg.lstsq(np.column_stack([design, blocks]), repeats, rcond=None)[0]
-    within = np.kron(np.eye(20), screening.design)  # effects of their own in each block
-    slopes = np.linalg.lstsq(np.column_stack([repeats, within, blocks]), areas, rcond=None)[0]
-    path = paths["exploration", "longest repeat"]
-    number = get_factors("sarsa").index("exploration")
-    assert (path.moves, path.slope) == pytest.approx((moves[number], slopes[0]))
-    assert path.carries == pytest.approx(path.moves * path.slope) == pytest.approx(0.2, abs=0.03)
-    assert path.low < path.carries < path.high and path.is_shown
-    assert not paths["loss", "longest repeat"].is_shown, "a factor that moves no repeat"
-    assert not paths["exploration", "greedy choices"].is_shown, "a quantity that does not vary"
-
-
-def test_an_effect_that_passes_by_the_logs_has_no_path():
-    screening = Screening.make("sarsa", make_runs(lambda on: 0.3 + 0.4 * on["exploration"]))
-    assert not any(path.is_shown for path in compute_paths(screening, ["exploration"], measure_area,
-                                                           np.random.default_rng(0), 500))
-
-
-# --- conclusions -----------------------------------------------------------------------
-
-TRUTHS: dict[str, tuple[Callable[[Levels], float], list[str]]] = {
-    "exploration causes it": (lambda on: 0.1 + 0.5 * on["exploration"],
-                              ["One correction is shown to raise the slope: exploration (+0."]),
-    "replay causes it": (lambda on: 0.1 + 0.5 * on["buffer"],
-                         ["One correction is shown to raise the slope: buffer (+0."]),
-    "several suffice": (lambda on: 0.1 + 0.6 * (on["exploration"] or on["buffer"]),
-                        ["The slope is raised by ", " alone brings more than three quarters of what",
-                         "these runs name no single cause"]),
-    "both are needed": (lambda on: 0.1 + 0.6 * (on["exploration"] and on["buffer"]),
-                        ["The slope is raised by", "Neither ",
-                         " on its own brings three quarters of what they bring together."]),
-    "a correction harms": (lambda on: 0.6 - 0.3 * on["loss"],
-                           ["No correction is shown to raise the slope.", "The slope is lowered by loss (-0."]),
-    "nothing matters": (lambda on: 0.5, ["No correction is shown to raise the slope."]),
+TRUTHS: dict[str, tuple[Callable[[Levels], float], set[str], set[str]]] = {
+    "exploration causes it": (lambda on: 0.1 + 0.5 * on["exploration"], {"exploration"}, set()),
+    "replay causes it": (lambda on: 0.1 + 0.5 * on["buffer"], {"buffer"}, set()),
+    "a default harms": (lambda on: 0.6 - 0.3 * on["loss"], set(), {"loss"}),
+    "nothing matters": (lambda on: 0.5, set(), set()),
 }
 
 
-@pytest.mark.nightly
-def test_different_truths_get_different_conclusions():
-    said = {name: " ".join(conclude(analyse_screening(Screening.make("sarsa", make_runs(truth)))))
-            for name, (truth, _) in TRUTHS.items()}
-    assert len(set(said.values())) == len(TRUTHS)
-    for name, (_, expected) in TRUTHS.items():
-        for words in expected:
-            assert words in said[name], (name, said[name])
-    assert "single cause" not in said["exploration causes it"] + said["both are needed"]
-    assert "On the slope nothing is shown of discount, truncation" in said["replay causes it"]
-    assert "No quantity of the logs is shown to carry the effect of buffer." in said["replay causes it"]
+@pytest.mark.parametrize("name", TRUTHS)
+def test_each_truth_is_found(name: str):
+    truth, raising, lowering = TRUTHS[name]
+    effects = compute_effects(Screening.make("sarsa", make_runs(truth)), measure_change)
+    shown = {effect.factor: effect.test.difference for effect in effects if effect.is_shown}
+    assert {factor for factor, change in shown.items() if change > 0} == raising
+    assert {factor for factor, change in shown.items() if change < 0} == lowering
 
 
-@pytest.mark.nightly
-def test_intervals_leave_0_out_just_where_an_effect_is_shown_and_power_is_told():
-    runs = make_runs(lambda on: 0.3 + 0.03 * on["choices"], rooms=3, noise=0.05)
-    findings = analyse_screening(Screening.make("sarsa", runs))
-    said = " ".join(conclude(findings))
-    assert said.startswith("No correction is shown to raise the slope. No correction is shown to raise the level.")
-    assert "a study of this size has 80 % power to detect an effect of 0." in said
-    strong = analyse_screening(Screening.make("sarsa", make_runs(lambda on: 0.3 + 0.3 * on["choices"])))
-    for effect in (*findings.effects, *findings.levels, *strong.effects, *strong.levels):
-        assert (effect.test.low > 0 or effect.test.high < 0) == effect.is_shown
-    assert strong.effects[0].visible < findings.effects[0].visible, "more rooms see more"
+def test_intervals_leave_0_out_just_where_an_effect_is_shown():
+    for height in (0.03, 0.3):
+        runs = make_runs(lambda on, height=height: 0.3 + height * on["choices"], rooms=3, noise=0.05)
+        for measure in (measure_change, measure_area):
+            for effect in compute_effects(Screening.make("sarsa", runs), measure):
+                assert (effect.test.low > 0 or effect.test.high < 0) == effect.is_shown
 
 
-def test_the_slope_decides_and_the_level_stands_beside_it():
+def test_slope_and_level_are_measured_apart():
     def turn(run: RawRun, corrected: bool) -> RawRun:
         """Level 0.4 in every run; only a replay buffer keeps it from falling."""
         rise = (0.1 if corrected else -0.3) * (1 + 0.02 * int(run.room[-1]))
@@ -232,117 +169,51 @@ def test_the_slope_decides_and_the_level_stands_beside_it():
 
     runs = [turn(run, run.agent.rpartition("-")[2][get_factors("sarsa").index("buffer")] == "1")
             for run in make_runs(lambda on: 0.4)]
-    said = conclude(analyse_screening(Screening.make("sarsa", runs)))
-    assert said[0].startswith("One correction is shown to raise the slope: buffer (+0.4")
-    assert said[1] == "No correction is shown to raise the level."
+    screening = Screening.make("sarsa", runs)
+    slope, level = (compute_effects(screening, measure) for measure in (measure_change, measure_area))
+    assert {effect.factor for effect in slope if effect.is_shown} == {"buffer"}
+    assert not any(effect.is_shown for effect in level)
 
 
-@pytest.mark.parametrize(("truth", "words"), [
-    (lambda on: 0.3 + 0.3 * on["choices"], "take these parts of the default settings: choices (options only)."),
-    (lambda on: 0.5, "Take the default settings as a whole: no part of them is shown to help alone."),
-    (lambda on: 0.6 - 0.3 * on["scaling"], "to help alone; leave scaling (both scaled) as published."),
+@pytest.mark.parametrize(("fresh", "sign"), [
+    (lambda on: 0.2 + 0.3 * on["buffer"], 1), (lambda on: 0.6 - 0.3 * on["buffer"], -1),
+    (lambda on: 0.3 + 0.3 * on["loss"], 0),
 ])
-def test_advice_follows_the_effects(truth: Callable[[Levels], float], words: str):
-    findings = analyse_screening(Screening.make("sarsa", make_runs(truth)))
-    assert advise(findings, FACTORS["sarsa"]).endswith(words), advise(findings, FACTORS["sarsa"])
-    few = analyse_screening(Screening.make("sarsa", make_runs(truth, rooms=2)))
-    assert advise(few, FACTORS["sarsa"]).startswith("Run more rooms and seeds")
-
-
-def test_a_mechanism_is_told_where_the_logs_hold_it():
-    runs = make_runs(lambda on: 0.3 + 0.2 * on["exploration"], repeat=lambda on: 4.0 - 2 * on["exploration"])
-    assert "The effect of exploration goes, as far as the logs show, through longest repeat (+0." in " ".join(
-        conclude(analyse_screening(Screening.make("sarsa", runs))))
-
-
-@pytest.mark.parametrize(("rooms", "seeds"), [(4, 4), (2, 5)])
-def test_nothing_is_concluded_from_few_seeds_or_rooms(rooms: int, seeds: int):
-    runs = make_runs(lambda on: 0.1 + 0.5 * on["exploration"], rooms=rooms, seeds=seeds)
-    said = conclude(analyse_screening(Screening.make("sarsa", runs)))
-    assert len(said) == 1 and "nothing is concluded" in said[0]
-
-
-@pytest.mark.parametrize(("published", "fresh", "words"), [
-    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "Buffer (+0.3"),
-    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "the same conclusion (p < 0.001)"),
-    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.6 - 0.3 * on["buffer"], "the contrary (p < 0.001)"),
-    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.3 + 0.3 * on["loss"], "not shown again (p = "),
-    (lambda on: 0.5, lambda on: 0.5, "The same conclusion: no effect is shown."),
-    (lambda on: 0.5, lambda on: 0.3 + 0.3 * on["loss"], "Another conclusion: loss (+0.3"),
-])
-def test_fresh_runs_agree_or_not(published: Callable[[Levels], float], fresh: Callable[[Levels], float], words: str):
+def test_fresh_runs_test_what_was_shown_and_nothing_else(fresh: Callable[[Levels], float], sign: int):
     again = Screening.make("sarsa", make_runs(fresh, rooms=3, seeds=1, first_seed=100))
-    said = tell_fresh_runs(again, analyse_screening(Screening.make("sarsa", make_runs(published))))
-    assert words in said and len(said) < 120, "only what was shown is tested"
-    if "(p " in said:
-        low, high = map(float, re.findall(r"([+-][\d.]+) to ([+-][\d.]+)", said)[0])
-        assert (low > 0 or high < 0) == ("not shown again" not in said), "interval and verdict agree"
+    (found,) = repeat_effects(again, ["buffer"])
+    assert (np.sign(found.test.difference) if found.is_shown else 0) == sign
+    assert (found.test.low > 0 or found.test.high < 0) == bool(sign)
+    two = repeat_effects(again, ["buffer", "width"])
+    assert two[0].p >= found.p, "two effects share a correction"
 
 
-@pytest.mark.parametrize(("truth", "rooms", "words"), [
-    (lambda on: 0.1 + 0.5 * on["buffer"], 5, "looked at, in which buffer had p <"),
-    (lambda on: 0.3 + 0.03 * on["choices"], 5, "in which choices had p = 0."),
-    (lambda on: 0.5, 5, "had p = 0."),
-    (lambda on: 0.1 + 0.5 * on["buffer"], 3, ""),
-])
-def test_rooms_that_were_added_after_a_look_are_told(truth: Callable[[Levels], float], rooms: int, words: str):
-    findings = analyse_screening(Screening.make("sarsa", make_runs(truth, rooms=rooms, noise=0.05)))
-    said = tell_first_look(findings, 3)
-    assert words in said and bool(said) == bool(words)
-    assert not tell_first_look(findings, None)
+# --- findings and command --------------------------------------------------------------
 
 
-@pytest.mark.nightly
-def test_a_first_look_is_at_the_first_rooms_alone():
-    weak, strong = (make_runs(lambda on, height=height: 0.3 + height * on["choices"], rooms=5, noise=0.05)
-                    for height in (0.03, 0.3))
-    rooms = Screening.make("sarsa", weak).rooms[:3]
-    looked = [run for run in weak if run.room in rooms]
-    findings = analyse_screening(Screening.make("sarsa", [*looked, *(run for run in strong if run.room not in rooms)]))
-    effects = analyse_screening(Screening.make("sarsa", looked)).effects
-    p = next(effect.p for effect in effects if effect.factor == "choices")
-    assert 0.001 < p and f"choices had p = {p:.3f}" in tell_first_look(findings, 3)
+def find(truth: Callable[[Levels], float], fresh: Callable[[Levels], float]) -> SimpleNamespace:
+    lines = [run for name in ALGORITHMS for run in make_runs(
+        truth if name == "sarsa" else lambda on: 0.5, algorithm=name, rooms=5 if name == "sarsa" else 3)]
+    lines += make_runs(fresh, rooms=3, seeds=2, first_seed=100)
+    return SimpleNamespace(factorial=analyse(find_study("factorial"), lines).numbers)
 
 
-def test_two_fresh_rooms_say_nothing():
-    def truth(on: Levels) -> float:
-        return 0.1 + 0.5 * on["buffer"]
+def test_rules_follow_the_effects():
+    def causes(on: Levels) -> float:
+        return 0.1 + 0.2 * on["buffer"] + 0.2 * on["choices"] + 0.2 * on["scaling"]
 
-    again = Screening.make("sarsa", make_runs(truth, rooms=2, seeds=1, first_seed=100))
-    published = analyse_screening(Screening.make("sarsa", make_runs(truth)))
-    assert tell_fresh_runs(again, published) == "2 rooms and 1 training seed: too few to conclude anything."
-
-
-# --- page and command ------------------------------------------------------------------
-
-
-@pytest.mark.nightly
-def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    published = [run for name in ALGORITHMS
-                 for run in make_runs(lambda on: 0.1 + 0.5 * on["exploration"], algorithm=name)]
-    fresh = make_runs(lambda on: 0.1 + 0.5 * on["exploration"], rooms=3, seeds=1, first_seed=100)
-    save("factorial", [*published, *fresh], tmp_path)
-    assert main(["factorial", "--from-raw", "--docs", str(tmp_path)]) == 0, "all whose results are there"
-    page = (tmp_path / "why-it-worsens.md").read_text()
-    assert page.startswith("# Why SARSA and DDPG get worse with meta-actions\n")
-    assert "**sarsa: One correction is shown to raise the slope: exploration (+0." in page
-    assert page.count("| exploration | +0.5") == 2 and "the same conclusion" in page
-    for words in ("sarsa --rooms 4 --runs 5", "ddpg --rooms 4 --runs 5", "sarsa --first-seed 100 --rooms 3 --runs 1"):
-        assert f"factorial --algorithms {words} --primitives" in page
-    assert (tmp_path / "figures" / "why-ddpg.svg").exists() and "was not run" not in page
-    assert "One correction is shown" in capsys.readouterr().out
-    assert "nobody had tried before" not in tell("factorial", published)
-    page = tell("factorial", make_runs(lambda on: 0.5))
-    assert page.startswith("# Why SARSA gets worse") and "DDPG is not on this page" in page
+    found = find(causes, causes)
+    assert RULES["causes"](found) and RULES["ddpg-is-open"](found)
+    assert found.factorial.rooms == {"sarsa": 5, "ddpg": 3} and len(found.factorial.first_p) == 3
+    assert not RULES["causes"](find(causes, lambda on: 0.5)), "not again in fresh rooms"
+    assert not RULES["causes"](find(lambda on: causes(on) + 0.2 * on["discount"], causes)), "a fourth cause"
 
 
-def test_the_page_tells_which_corrections_suffice_and_what_carries_them():
-    runs = make_runs(lambda on: 0.1 + 0.6 * (on["exploration"] or on["buffer"]),
-                     repeat=lambda on: 4.0 - 2 * on["exploration"])
-    page = tell("factorial", runs)
-    table = page.partition("do they bring more than three quarters")[2].partition("What the logs carry")[0]
-    assert "| yes | yes |" in table and "exploration" in table and "buffer" in table
-    assert "| exploration | longest repeat | -1.9" in page
+def test_the_course_is_that_of_the_first_and_the_last_agent():
+    found = find(lambda on: 0.2 + 0.3 * all(on.values()), lambda on: 0.5).factorial.course
+    assert found["efficiency", "2019"][0] == pytest.approx(0.2 * 0.6, abs=0.03)
+    assert found["efficiency", "default"][-1] == pytest.approx(0.5 * 1.4, abs=0.05)
+    assert found["longest repeat, decisions", "2019"][0] == pytest.approx(4, abs=0.5)
 
 
 def test_a_factorial_wants_an_algorithm(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

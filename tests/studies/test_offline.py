@@ -1,8 +1,10 @@
-"""The study of data sets: what it says follows from the numbers, whichever way they fall."""
+"""The study of data sets: numbers follow the lines, and the page's rules follow the numbers."""
 
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,16 +22,16 @@ from studies.offline.analysis import (
     name_unseen,
     run_once,
     run_unseen,
-    tell_difference,
-    tell_stitching,
-    tell_unseen,
+    summarise,
 )
-from studies.page import render
+from studies.pages.offline import CUT, RULES
 from studies.store import Store
 from studies.study import find_study
 
+BEST = ("smdp-cql passes=20", "medium")
 
-def make_lines(efficiency, unseen=0.3):
+
+def make_lines(efficiency, unseen: Any = 0.3):
     """Lines of ten rooms and ten seeds from (agent, kind) -> mean efficiency, all differing by a little."""
     study = find_study("offline")
     spread = np.linspace(-0.02, 0.02, 10)
@@ -45,78 +47,59 @@ def make_lines(efficiency, unseen=0.3):
     return study, lines + [OfflineResult(name, UNSEEN, 0, 0.6) for name in study.data["searchers"]]
 
 
-def test_the_sentence_follows_the_sign_of_the_differences_and_their_certainty():
-    rng = np.random.default_rng(0)
-    low, high = 0.4 + 0.05 * rng.random(10), 0.7 + 0.05 * rng.random(10)
-    assert tell_difference(high, low, "up", "down", "same").startswith("up (0.7")
-    assert tell_difference(low, high, "up", "down", "same").startswith("down (0.4")
-    assert tell_difference(low, low[::-1], "up", "down", "same").startswith("same")
+def find(efficiency, unseen: Any = 0.3):
+    return SimpleNamespace(offline=analyse(*make_lines(efficiency, unseen)).numbers)
 
 
-@pytest.mark.parametrize(("options", "primitives", "words"), [
-    (0.9, 0.2, "Q-iteration over options does better"), (0.2, 0.9, "Q-iteration over primitives does better"),
-    (0.5, 0.5, "cannot be told apart")])
-def test_the_horizon_is_told_by_what_was_measured(options, primitives, words):
-    page = analyse(*make_lines(lambda agent, kind: options if agent.startswith("smdp-") else primitives))
-    (sentence,) = [text for text in page.conclusions if "Horizon" in text and "Q-iteration" in text]
-    assert words in sentence
+@pytest.mark.parametrize(("options", "primitives", "sign"), [(0.9, 0.2, 1), (0.2, 0.9, -1), (0.5, 0.5, 0)])
+def test_the_horizon_is_what_was_measured(options, primitives, sign):
+    numbers = find(lambda agent, kind: options if agent.startswith("smdp-") else primitives)
+    assert {gain.sign for gain in numbers.offline.horizon.values()} == {sign}
+    assert numbers.offline.horizon["smdp-iql"].mean == pytest.approx(options - primitives)
+    assert RULES["options-help"](numbers) == (sign > 0)
 
 
-@pytest.mark.parametrize(("cut", "words"), [
-    (0.1, "cost some: "), (0.9, "help some: "), (0.5, "cost nothing that shows: ")])
-def test_stitching_is_told_by_what_was_measured(cut, words):
-    (told,) = list_stitching(lambda agent, kind: cut if kind == "stitch" else 0.5)
-    assert words in told and told.count(f"(0.50 against {cut:.2f}, 10 rooms)") == 8
-    assert "HIQL (" in told and "over primitives" not in told
+def test_stitching_is_what_was_measured_and_one_family():
+    numbers = find(lambda agent, kind: 0.1 if kind == "stitch" and agent in CUT else 0.5)
+    signs = {agent: gain.sign for agent, gain in numbers.offline.stitching.items()}
+    assert len(signs) == 8 and not any(name.startswith(("fitted-q", "iql")) for name in signs)
+    assert {agent for agent, sign in signs.items() if sign} == set(CUT) and RULES["values-stitch"](numbers)
+    assert not RULES["values-stitch"](find(lambda agent, kind: 0.1 if kind == "stitch" else 0.5))
+    lucky = find(lambda agent, kind: 0.5).offline.stitching
+    assert all(gain.low <= 0 <= gain.high for gain in lucky.values())
 
 
-def list_stitching(efficiency):
-    return [text for text in analyse(*make_lines(efficiency)).conclusions if "Stitching" in text]
+def test_the_best_search_baseline_counts_and_no_planner_that_is_given_how_rooms_are_drawn():
+    numbers = find(lambda agent, kind: {"search-backtrack": 0.7, "bayes": 0.9}.get(agent, 0.5))
+    assert numbers.offline.search == pytest.approx(0.7)
 
 
-def test_learners_of_different_verdicts_on_stitching_are_told_apart():
-    told = list_stitching(lambda agent, kind: 0.1 if kind == "stitch" and "best" in agent else
-                          0.04 if "hiql" in agent else 0.5)
-    assert told[0] == ("**Stitching.** Cut trajectories cost some: a clone of the best tenth (0.50 against 0.10, "
-                       "10 rooms).")
-    assert "cost nothing that shows: a clone of options (0.50 against 0.50, 10 rooms)," in told[1]
-    assert told[2:] == ["**Stitching.** Too little is learned from whole trajectories to lose anything: HIQL (0.04 "
-                        "against 0.04, 10 rooms)."]
+def test_pieces_that_begin_anywhere_have_no_efficiency_of_their_own():
+    found = analyse(*make_lines(lambda agent, kind: 1.5 if (agent, kind) == (BEHAVIOUR, "stitch") else 0.5))
+    assert found.numbers.behaviour == pytest.approx(0.5)
+    (row,) = [line for line in found.tables["rooms"].splitlines() if "recorded play" in line]
+    assert row.split("|")[3:5] == [" 0.50 ", "  "]
 
 
-def test_eight_questions_on_stitching_share_their_level():
-    """Six rooms of six are worse when cut: p is 1/64, below the level of one question and above that of eight."""
-    whole, cut = np.full(6, 0.6), np.array([0.5, 0.4, 0.5, 0.4, 0.5, 0.4])
-    (alone,) = tell_stitching({"a": (whole, cut)})
-    (together,) = tell_stitching({name: (whole, cut) for name in "abcdefgh"})
-    assert "cost some" in alone and "cost nothing that shows" in together
+@pytest.mark.parametrize(("unseen", "wins"), [(0.3, True), (0.9, False), (0.6, False)])
+def test_search_wins_outside_only_beyond_the_interval_of_every_network(unseen, wins):
+    assert RULES["search-wins-outside"](find(lambda agent, kind: 0.5, unseen)) == wins
+    one = find(lambda agent, kind: 0.5, lambda agent, kind: 0.9 if (agent, kind) == BEST else 0.3)
+    assert not RULES["search-wins-outside"](one) and one.offline.best.mean == pytest.approx(0.9)
 
 
-@pytest.mark.nightly_for("0.99-The best searcher that learns nothing does better")
-@pytest.mark.parametrize(("searcher", "words"), [(0.1, "than the best searcher finds out"),
-                                                 (0.99, "The best searcher that learns nothing does better"),
-                                                 (0.5, "cannot be told apart from the best searcher")])
-def test_the_headline_asks_whether_the_best_learner_beats_the_best_searcher(searcher, words):
-    page = analyse(*make_lines(lambda agent, kind: 0.5 if kind else searcher))
-    assert words in page.conclusions[0]
+def test_the_transformer_must_lead_with_every_data_set():
+    leads = find(lambda agent, kind: 0.5, lambda agent, kind: 0.5 if "transformer" in agent else 0.3)
+    assert RULES["the-transformer-leads"](leads)
+    once = find(lambda agent, kind: 0.5, lambda agent, kind: 0.6 if (agent, kind) == BEST else
+                0.5 if "transformer" in agent else 0.3)
+    assert not RULES["the-transformer-leads"](once)
 
 
-@pytest.mark.nightly
-def test_the_best_of_several_learners_is_held_against_the_best_of_several_searchers():
-    def efficiency(agent, kind):
-        return {"search-backtrack": 0.9, "smdp-fitted-q": 0.7}.get(agent, 0.5)
-
-    page = analyse(*make_lines(efficiency))
-    assert page.conclusions[0].startswith("The best searcher that learns nothing does better than Q-iteration over op")
-    lucky = 0.5 + 0.1 * np.array([-1] + [1] * 9)  # by chance in 11 of 1,024 signs
-    once, of_ten = (tell_difference(lucky, np.full(10, 0.5), "up", "down", "same", choices) for choices in (1, 10))
-    assert once.startswith("up") and of_ten.startswith("same")
-
-
-def test_pieces_that_begin_anywhere_are_given_no_efficiency():
-    page = analyse(*make_lines(lambda agent, kind: 1.5 if (agent, kind) == (BEHAVIOUR, "stitch") else 0.5))
-    (row,) = [line for line in page.values["table"].splitlines() if "(`behaviour`)" in line]
-    assert row.split("|")[2:4] == [" 0.50 ", "  "]
+def test_intervals_of_the_best_of_many_networks_are_wider():
+    values = np.array([0.4, 0.5, 0.6])
+    alone, together = summarise(values), summarise(values, 1 - 0.05 / 24)
+    assert alone.mean == together.mean and together.low < alone.low < alone.high < together.high
 
 
 def test_rooms_that_settings_were_chosen_in_are_never_reported(tmp_path):
@@ -129,48 +112,6 @@ def test_rooms_that_settings_were_chosen_in_are_never_reported(tmp_path):
     assert not store.load()
     measure(small, Args(runs=1), store)
     assert [line.run for line in store.load()] == [0]
-
-
-def test_the_page_says_which_rooms_settings_were_chosen_in():
-    study, lines = make_lines(lambda agent, kind: 0.5)
-    other = dataclasses.replace(study, data={**study.data, "tuned_rooms": [70, 75]})
-    assert "in rooms 70 to 74 of the data, which are not reported" in render(other, analyse(other, lines))
-
-
-@pytest.mark.parametrize(("unseen", "words"), [(0.3, "does worse than"), (0.9, "does better than"),
-                                               (0.6, "cannot be told apart from")])
-def test_unseen_rooms_are_told_by_the_interval_of_the_best_network(unseen, words):
-    assert words in analyse(*make_lines(lambda agent, kind: 0.5, unseen)).conclusions[-2]
-
-
-def test_each_kind_of_data_has_its_best_network_in_unseen_rooms():
-    def efficiency(agent, kind):
-        best = {("smdp-iql passes=20", "expert"): 0.7, ("smdp-cql passes=20", "play"): 0.5,
-                ("smdp-sharsa passes=20", "medium"): 0.4, ("smdp-cql passes=20", "noisy"): 0.6}
-        return best.get((agent, kind), 0.3)
-
-    *_, unseen, kinds = analyse(*make_lines(lambda agent, kind: 0.5, efficiency)).conclusions
-    assert "IQL over options from `expert`, does better than the best searcher (0.70," in unseen
-    assert kinds.startswith("**Which data.** In unseen rooms the best of each kind of data: CQL over options from "
-                            "`play` (0.50), IQL over options from `expert` (0.70), SHARSA over options from "
-                            "`medium` (0.40) and CQL over options from `noisy` (0.60).")
-
-
-def test_one_network_that_is_best_of_all_kinds_of_data_is_said_to_be():
-    levels = {"play": 0.5, "expert": 0.7, "medium": 0.6, "noisy": 0.4}
-    *_, told = analyse(*make_lines(lambda agent, kind: 0.5, lambda agent, kind:
-                                   levels[kind] if agent == "smdp-cql passes=20" else 0.3)).conclusions
-    assert told == ("**Which data.** In unseen rooms one learner is the best of every kind of data: CQL over options, "
-                    "0.70 from `expert`, 0.60 from `medium`, 0.50 from `play` and 0.40 from `noisy`.")
-
-
-def test_the_best_of_many_networks_must_be_clearer_than_one_alone():
-    """Ten seeds whose mean is 0.014 above the searcher: enough for one question, and not for twenty at once."""
-    found = 0.5 + np.linspace(-0.02, 0.02, 10) + 0.014
-    words = {f"learner {number}": f"learner {number}" for number in range(20)}
-    alone = tell_unseen({("learner 0", "play"): found}, words, 0.5)[0]
-    together = tell_unseen({(name, "play"): found - 0.1 * (name != "learner 0") for name in words}, words, 0.5)[0]
-    assert "does better" in alone and "cannot be told apart" in together
 
 
 @pytest.mark.slow

@@ -1,10 +1,12 @@
-"""Studies: what is kept of runs, what is read off them, and what pages say; runs written by hand or really made."""
+"""The replicated paper: what is kept of runs, measures, verdicts and rules; runs written by hand or really made."""
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +16,12 @@ from scipy import stats
 from hrl_escape.agents.registry import KERAS_RL
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.summary import summarise
-from hrl_escape.errors import FileReadError
+from hrl_escape.errors import ComparisonError, FileReadError
 from hrl_escape.settings import read_record
 from studies.__main__ import main
-from studies.paper.analysis import Rerun, list_claims, tell_chance, tell_departures
-from studies.paper.claims import Criterion, advise, choose_level, judge_claims
+from studies.pages.paper import RULES
+from studies.paper.analysis import Rerun, analyse, compare_reruns, list_claims
+from studies.paper.claims import Criterion, choose_level, compare_recipes, judge_claims
 from studies.paper.measures import (
     Measurement,
     Side,
@@ -35,7 +38,6 @@ from studies.running import GridArgs, measure_grids, open_store
 from studies.store import Store
 from studies.study import find_study
 from tests.studies.made_up_runs import make_run
-from tests.studies.pages import save
 
 PAPER = find_study("paper")
 CLAIMS = list_claims(PAPER)
@@ -158,7 +160,7 @@ def test_every_claim_can_come_out_either_way():
     better, worse = good | {FIGURES[1]: bad[FIGURES[1]]}, bad | {FIGURES[1]: good[FIGURES[1]]}
     seen = [judge_claims(CLAIMS, results) for results in (good, bad, falling, rising, better, worse)]
     for claim, *findings in zip(CLAIMS, *seen, strict=True):
-        assert {"yes", "no"} <= {finding.agrees for finding in findings}, claim.says
+        assert {"yes", "no"} <= {finding.kind for finding in findings}, claim.says
 
 
 @pytest.mark.nightly
@@ -182,7 +184,7 @@ def test_a_claim_is_judged_by_the_papers_recipe_agent_by_agent():
     results[FIGURES[0]] = [run if run.agent != ddpg else make_run(ddpg, [0.0] * 11, seed=run.seed)
                            for run in results[FIGURES[0]]]
     finding = next(finding for finding in judge_claims(CLAIMS, results) if "25 %" in finding.claim.says)
-    assert finding.agrees == "yes: dqn, sarsa; no: ddpg"
+    assert finding.verdicts == {"dqn": True, "sarsa": True, "ddpg": False}
     assert finding.corrected["ddpg"].value == 1.0 and finding.paper["ddpg"].value == 0.0
 
 
@@ -198,48 +200,42 @@ def test_intervals_leave_the_level_out_where_a_verdict_is_given():
     assert {judged for _, judged in compared} == {True, False}
 
 
-@pytest.mark.parametrize(("paper", "corrected", "words"), [
-    (0.2, 0.9, "Use the default settings: with meta-actions they raise the training score of"),
-    (0.9, 0.2, "Mind the settings: with the default ones the training score falls for dqn (-70), sarsa (-70) and ddpg"),
-    (0.5, 0.5, "Take either settings"),
-])
-def test_advice_on_recipes_follows_their_scores(paper: float, corrected: float, words: str):
+@pytest.mark.parametrize(("paper", "default", "sign"), [(0.2, 0.9, 1), (0.9, 0.2, -1), (0.5, 0.5, 0)])
+def test_settings_are_compared_by_their_training_scores(paper: float, default: float, sign: int):
     results = make_paper_results(1.0, 1.0)
     results[FIGURES[2]] = [make_run(run.agent, [0.0] * 11, seed=run.seed, training=[
-        (paper if KERAS_RL in run.agent else corrected)
+        (paper if KERAS_RL in run.agent else default)
         + 0.01 * (-1) ** run.seed * (KERAS_RL in run.agent)] * BINS) for run in results[FIGURES[2]]]
-    assert advise(results).startswith(words), advise(results)
+    gains = compare_recipes(results)
+    assert {gain.sign for gain in gains.values()} == {sign} and list(gains) == ["dqn", "sarsa", "ddpg"]
+    assert gains["dqn"].mean == pytest.approx(default - paper, abs=0.01)
+    assert RULES["defaults-help"](SimpleNamespace(paper=SimpleNamespace(settings=gains))) == (sign > 0)
 
 
-def test_departures_from_the_rerun_follow_the_numbers():
+def test_gaps_to_the_rerun_follow_the_numbers():
     """Where nobody escapes, sarsa is as in the rerun and dqn is not; where all do, the other way round."""
     reruns = [read_record(Rerun, table) for table in PAPER.data["reruns"]]
-    for score, parted, alike in ((0.0, "dqn", "sarsa"), (1.0, "sarsa", "dqn")):
-        apart, close = tell_departures(reruns, make_paper_results(score, score))
-        assert any(told.startswith(f"{parted} with meta-actions:") for told in apart)
-        assert any(told.startswith(f"{alike} with meta-actions:") for told in close)
+    for score, close, apart in ((0.0, "sarsa", "dqn"), (1.0, "dqn", "sarsa")):
+        gaps = {own.rerun.words: own.gap for own in compare_reruns(reruns, make_paper_results(score, score))}
+        assert abs(gaps[f"{close} with meta-actions"]) < 0.1 and abs(gaps[f"{apart} with meta-actions"]) > 0.9
 
 
-@pytest.mark.nightly
-def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_missing_agent_is_named():
     runs = [run for own in make_paper_results(1.0, 0.5).values() for run in own]
-    raw = save("paper", runs, tmp_path)
-    assert main(["paper", "--from-raw", "--docs", str(tmp_path)]) == 0
-    page = (tmp_path / "paper.md").read_text()
-    assert all(claim.says in page for claim in CLAIMS)
-    assert all((tmp_path / "figures" / f"{name}.svg").exists() and f"figures/{name}.svg" in page for name in FIGURES)
-    assert page.count("| figure-1 |") == 7 and page.count("10 runs a line") == len(FIGURES)
-    first = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    assert main(["paper", "--from-raw", "--docs", str(tmp_path)]) == 0
-    assert first == {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}, "the same bytes each time"
-    capsys.readouterr()
-    raw.unlink()
-    save("paper", [run for run in runs if (run.grid, run.agent) != (FIGURES[0], "sarsa")], tmp_path)
-    assert main(["paper", "--from-raw", "--docs", str(tmp_path)]) == 2
-    assert "paper-figure-1 has no run of sarsa" in capsys.readouterr().err
-    raw.unlink()
-    assert main(["paper", "--from-raw", "--docs", str(tmp_path)]) == 2
-    assert "paper.jsonl holds no run: leave out --from-raw" in capsys.readouterr().err
+    with pytest.raises(ComparisonError, match="paper-figure-1 has no run of sarsa"):
+        analyse(PAPER, [run for run in runs if (run.grid, run.agent) != (FIGURES[0], "sarsa")])
+
+
+def test_rules_follow_the_verdicts():
+    """A learner that gains nothing by options refutes the finding, and so does one that beats random choices."""
+    paper = analyse(PAPER, open_store(PAPER, None).load()).numbers
+    numbers = SimpleNamespace(paper=paper)
+    rules = ("options-help", "verdicts", "sarsa-worsens", "chance-settles", "one-rerun-apart")
+    assert all(RULES[name](numbers) for name in rules)
+    for number, name, verdict in ((7, "dqn", None), (8, "ddpg", True), (8, "sarsa", None)):
+        claims = copy.deepcopy(paper.claims)
+        claims[number - 1].verdicts[name] = verdict
+        assert not RULES["options-help"](SimpleNamespace(paper=SimpleNamespace(claims=claims)))
 
 
 @pytest.mark.parametrize("damage", [
@@ -271,12 +267,6 @@ def test_a_page_that_cannot_be_written_is_noticed_before_anything_runs(
     (tmp_path / "docs").write_text("a file where the folder should be")
     assert main([study, "--docs", str(tmp_path / "docs"), "--out", str(tmp_path / "runs")]) == 2
     assert "cannot write" in capsys.readouterr().err and not (tmp_path / "runs").exists()
-
-
-def test_claims_that_random_choices_settle_are_told():
-    assert tell_chance([True, None, True, False]) == (
-        "Random choices confirm claims 1 and 3 and refute claim 4 by the same tests, without learning.")
-    assert tell_chance([None, False]).startswith("Random choices refute claim 2 by") and tell_chance([None]) == ""
 
 
 @pytest.mark.parametrize(("chance", "settled"), [(1.0, {1: True, 6: False}), (0.0, {1: False, 6: True})])

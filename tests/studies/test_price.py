@@ -1,10 +1,11 @@
-"""The price of flatness: ratios that are known from one side, sentences by rule, and runs that end when efficient."""
+"""Primitives against options: ratios that are known from one side, and runs that end when they are efficient."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,19 +15,19 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.best_with_options import find_best_with_options
 from hrl_escape.planning.best_known import find_best_known
-from studies.price.analysis import draw_price
+from studies.pages.do_options_help import RULES
+from studies.price.analysis import compare_pair
 from studies.price.contestants import (
     BUTTON_COUNTS,
     CONTESTANTS,
     EFFICIENT,
     FRESH,
     PAIRS,
-    VARIANTS,
     Contestant,
     make_chain_room,
     sample_replicate_room,
 )
-from studies.price.ratios import COSTS, compare_costs, correct_prices, find_middle, measure_growth
+from studies.price.ratios import COSTS, Middle, compare_costs, correct_prices, find_middle, measure_growth
 from studies.price.runs import (
     PriceRun,
     compute_run_key,
@@ -34,21 +35,10 @@ from studies.price.runs import (
     measure_price_runs,
     run_contestant,
 )
-from studies.price.trials import SettingsTrial, load_trials, tell_exploration
-from studies.price.words import (
-    advise,
-    compare_with_chance,
-    conclude_prices,
-    conclude_variants,
-    tell_longest,
-    tell_number,
-    tell_ready,
-    tell_visible,
-)
+from studies.price.trials import load_trials
 from studies.statistics import compute_sign_flip_p
 from studies.store import Store
 from studies.study import find_study
-from tests.studies.pages import tell
 
 QUICK = Contestant("options", "smdp-q-learning", 3_000, 250, (1,))
 
@@ -68,11 +58,6 @@ def make_truth(price: float, growth: float, replicates: int = 10, budget: int = 
             paid = price * growth ** (buttons - 1) * cost * rng.lognormal(0, 0.2)
             lines += [make_line("o", buttons, replicate, cost), make_line("f", buttons, replicate, paid, budget)]
     return lines
-
-
-def conclude(lines: list[PriceRun]) -> str:
-    sentence, = conclude_prices(lines, [("f", "o", COSTS[0])])
-    return sentence
 
 
 # --- ratios --------------------------------------------------------------------------------
@@ -113,33 +98,6 @@ def test_intervals_of_a_family_are_corrected_with_their_verdicts():
         assert (ratio.middle.low > 1 or ratio.middle.high < 1) == (ratio.middle.p < 0.05)
 
 
-@pytest.mark.parametrize(("flat", "chance", "words"), [
-    (1.0, 1.0, "A flat learner's first escape is not shown to come sooner than a random walk's"),
-    (9.0, 1.0, "A flat learner that waits longer for its first escape than a random walk does wants more exploration"),
-    (1.0, 9.0, "This learner finds the exit sooner than a random walk, so keep its exploration"),
-])
-def test_advice_follows_the_random_walk_the_price_and_the_rooms(flat: float, chance: float, words: str):
-    lines = make_truth(price=50, growth=1)
-    walks = [dataclasses.replace(line, agent=agent,
-                                 first_escape=round(1_000 * factor * (1 + 0.2 * (-1) ** line.replicate)))
-             for line in lines if line.agent == "f" for agent, factor in (("f", flat), ("random", chance))]
-    told = advise([*walks, *(line for line in lines if line.agent == "o")], "f", "o", "random", COSTS[:2])
-    assert told.startswith(words) and told.endswith(", or give it options, which cost a fraction.")
-    ready = [*(line for line in lines if line.agent == "f"), *(make_line("o", 2, number, 0) for number in range(10))]
-    assert "A room that chance over options escapes from" in advise(ready, "f", "o", "random", COSTS[:2])
-
-
-def test_visible_factors_grow_with_the_spread_and_with_the_family():
-    """Logs of the ratios have a deviation of 0.2 sqrt(2); a factor of exp(0.28) and more is seen by ten pairs."""
-    lines = make_truth(price=50, growth=1)
-    told = tell_visible(lines, "f", "o", COSTS[:1])
-    factor = float(told.split("a factor of ")[1].split(" ")[0])
-    assert 1.2 < factor < 1.8 and told.endswith("in all.")
-    wide = [dataclasses.replace(line, efficient_at=round(line.efficient_at * 3 ** (-1) ** line.replicate))
-            if line.agent == "f" and line.efficient_at else line for line in lines]
-    assert float(tell_visible(wide, "f", "o", COSTS[:1]).split("a factor of ")[1].split(" ")[0]) > 2
-
-
 def test_rooms_in_which_chance_over_options_is_efficient_are_told_apart():
     lines = [make_line("f", 1, number, 30_000) for number in range(12)]
     lines += [make_line("o", 1, number, 0 if number < 2 else 1_000) for number in range(12)]
@@ -151,11 +109,6 @@ def test_rooms_in_which_chance_over_options_is_efficient_are_told_apart():
     assert ratio.middle.factor == pytest.approx(30), "and not 30,000 / 30 in two of them"
     (escape,) = compare_costs(flat, options, COSTS[1])
     assert not escape.ready and len(escape.logs) == 12, "a first escape is no learning"
-    told = tell_ready(lines, "f", "o", COSTS[0])
-    assert "In 2 of 12 rooms with 1 button the untrained `o` is efficient already" in told
-    assert not tell_ready([line for line in lines if line.replicate > 1], "f", "o", COSTS[0])
-    few = tell_ready([line for line in lines if line.replicate < 11], "f", "o", COSTS[0])
-    assert "In the 9 others with 1 button `f` pays 30 times as much (median; too few rooms" in few
 
 
 @pytest.mark.parametrize(("cost", "at"), [(COSTS[3], 200), (COSTS[2], 600), (COSTS[0], 800)])
@@ -178,118 +131,75 @@ def test_a_cost_that_was_never_paid_in_full_counts_as_more_than_was_spent():
     assert ratio.logs[0][0] == pytest.approx(math.log(100 / soon.fewest)), "one escape at least"
 
 
-# --- sentences -----------------------------------------------------------------------------
+# --- findings ------------------------------------------------------------------------------
 
 
-def test_where_flat_is_free_no_price_is_shown():
-    told = conclude(make_truth(price=1.0, growth=1.0))
-    assert "is not shown to pay more or fewer primitives than `o` with 1, 2, 3, 4 or 6 buttons" in told
-    assert "These runs do not show that the factor grows with the number of buttons" in told
+def compare(lines: list[PriceRun]) -> dict[int, Middle]:
+    """Corrected ratios of primitives to efficiency, by number of buttons."""
+    return {ratio.buttons: ratio.middle for ratio in compare_pair(lines, "f", "o", COSTS[:1])["efficient"]}
 
 
-def test_a_price_that_grows_is_told_with_its_growth():
+def test_where_flat_learners_are_as_quick_every_interval_holds_1():
+    assert all(found.low < 1 < found.high for found in compare(make_truth(price=1.0, growth=1.0)).values())
+
+
+def test_a_price_that_grows_is_measured_with_its_growth():
     lines = make_truth(price=10.0, growth=2.0)
-    told = conclude(lines)
-    assert "`f` pays" in told and "with 6 buttons" in told
-    assert "Each button from 1 to 6 multiplies the factor by" in told
+    assert all(found.low > 1 for found in compare(lines).values())
     flat, options = ([line for line in lines if line.agent == name] for name in "fo")
     growth = measure_growth(compare_costs(flat, options, COSTS[0]))
-    assert growth.middle.low < 2 < growth.middle.high < 2.3
+    assert (growth.smallest, growth.largest) == (1, 6) and growth.middle.low < 2 < growth.middle.high < 2.3
 
 
-@pytest.mark.parametrize(("dearer", "told"), [(10, "pays"), (9, "pays"), (6, "is not shown to pay")])
-def test_a_price_is_told_where_flipped_signs_show_it_among_all_that_is_concluded(dearer: int, told: str):
-    """Nine of ten are 0.0039, and six 0.031, of which five sizes and a growth make 0.19 (Holm)."""
+@pytest.mark.parametrize(("dearer", "is_shown"), [(10, True), (9, True), (6, False)])
+def test_a_price_is_shown_where_flipped_signs_show_it_in_the_family(dearer: int, is_shown: bool):
+    """Nine of ten are 0.0039, and six 0.031, which times five sizes and a growth make 0.19 (Holm)."""
     lines = [make_line(agent, buttons, replicate, 1_000 * (3 if agent == "f" and replicate < dearer else 1) + replicate)
              for agent in "of" for buttons in BUTTON_COUNTS for replicate in range(10)]
     flat, options = ([line for line in lines if line.agent == name] for name in "fo")
     alone = compare_costs(flat, options, COSTS[0])[0].middle
     assert alone.low > 1 and alone.p == pytest.approx(2 * 2 ** (10 - dearer) / 1024)
-    assert f"`f` {told}" in conclude(lines)
+    assert (compare(lines)[1].low > 1) == is_shown == (compare(lines)[1].p < 0.05)
 
 
-def test_where_no_flat_run_gets_there_only_a_bound_is_told():
-    told = conclude(make_truth(price=10_000.0, growth=2.0, budget=100_000))
-    assert "pays more than" in told and "(" not in told.split("primitives")[0]
-    assert "How the factor grows with each button could not be estimated." in told
-    bound = float(told.split("more than ")[1].split(" times the primitives of `o` with 1 button")[0])
-    assert 60 < bound < 120, "the budget is some 100 times what options need with one button"
+def test_where_no_flat_run_gets_there_only_a_bound_is_known():
+    found = compare(make_truth(price=10_000.0, growth=2.0, budget=100_000))
+    assert {middle.knowledge for middle in found.values()} == {"bound"}
+    assert 60 < found[1].low < 120, "the budget is some 100 times what options need with one button"
 
 
-def test_a_price_measured_in_small_rooms_alone_grows_by_a_bound_at_least():
-    told = conclude(make_truth(price=10.0, growth=20.0, budget=300_000))
-    assert "times the primitives of `o` with 1 button; it pays more than" in told
-    assert "Each button from 1 to 2 multiplies the factor by more" in told
+def test_a_smaller_budget_in_some_sizes_gives_no_factor_there():
+    lines = [dataclasses.replace(line, budget=20_000, primitives=20_000, efficient_at=None)
+             if line.agent == "f" and line.buttons > 3 else line for line in make_truth(price=10.0, growth=1.6)]
+    ratios = compare_pair(lines, "f", "o", COSTS[:1])["efficient"]
+    assert [ratio.buttons for ratio in ratios if ratio.is_short] == [4, 6]
+    assert {ratio.middle.knowledge for ratio in ratios if ratio.is_short} == {"unknown"}
 
 
-def test_a_price_measured_in_three_sizes_grows_by_a_number_whatever_the_others_bound():
-    """A long budget in small rooms, a short one in large rooms, where no price is given; the truth is 1.6 a button."""
-    lines = [dataclasses.replace(line, **cap(line, 20_000)) if line.agent == "f" and line.buttons > 3 else line
-             for line in make_truth(price=10.0, growth=1.6)]
-    told = conclude(lines)
-    assert "with 2 buttons and" in told and "more than" not in told
-    assert "with 4 or 6 buttons its budget was smaller, so no price is given." in told
-    words, = [part for part in told.split(". ") if part.startswith("Each button from 1 to 3 multiplies the factor by")]
-    low, high = (float(end) for end in words.split("(")[1].rstrip(").").split(" to "))
-    assert low < 1.6 < high < 2
+def test_too_few_runs_give_no_factor():
+    assert {middle.knowledge for middle in compare(make_truth(10.0, 2.0, replicates=9)).values()} == {"unknown"}
 
 
-def test_cheap_flat_learners_and_too_few_runs_are_told_as_such():
-    assert "pays only" in conclude(make_truth(price=0.1, growth=1.0))
-    told = conclude(make_truth(price=10.0, growth=2.0, replicates=9))
-    assert told.startswith("How much `f` pays until it is efficient could not be estimated")
-    lines = [line if line.agent == "f" else dataclasses.replace(line, efficient_at=None) for line in make_truth(9, 2)]
-    assert conclude(lines).startswith("How much `f` pays until it is efficient could not be estimated")
+@pytest.mark.parametrize(("middle", "text"), [
+    (Middle("measured", 26.4, 19.0, 36.0, 0.01), "26 (19 to 36)"),
+    (Middle("bound", 1_344.0, 19.0), "> 19 (mean at least 1,340)"), (Middle("unknown"), "-")])
+def test_factors_have_two_digits_and_all_before_the_point(middle: Middle, text: str):
+    assert str(middle) == text
 
 
-@pytest.mark.parametrize(("price", "budgets", "told"), [
-    (4.0, (10**9, 10**9), "pays 3."), (0.2, (10**9, 10**9), "pays only 0."),
-    (1.0, (10**9, 10**9), "is not shown to pay more or fewer primitives than `o` with 1, 2, 3, 4 or 6 buttons"),
-    (30.0, (20_000, 10**9), "pays more than 1"),
-    (0.001, (10**9, 500), "pays less than 0.0"),
-    (1.0, (500, 500), "How much `f` pays until it is efficient could not be estimated")])
-def test_a_variant_is_told_beside_the_plain_learner_whichever_is_dearer(price: float, budgets: tuple[int, int],
-                                                                        told: str):
-    lines = [dataclasses.replace(line, **cap(line, budgets["fo".index(line.agent)])) for line in make_truth(price, 1.0)]
-    assert told in conclude_variants(lines, "f", "o", COSTS[:1])[0]
+def rename(lines: list[PriceRun]) -> list[PriceRun]:
+    flat, options = next(iter(PAIRS.items()))
+    walk = [dataclasses.replace(line, agent="random") for line in lines if line.agent == "f"]
+    return [*(dataclasses.replace(line, agent={"f": flat, "o": options}[line.agent]) for line in lines), *walk]
 
 
-def cap(line: PriceRun, budget: int) -> dict[str, int | None]:
-    """Changes to a run that a budget gives up."""
-    given_up = line.efficient_at is not None and line.efficient_at > budget
-    return {"budget": budget} | ({"primitives": budget, "efficient_at": None} if given_up else {})
-
-
-def test_chance_is_beaten_fallen_behind_or_not_told_apart():
-    chance = [make_line("c", 1, n, 500 if n < 10 else None) for n in range(20)]
-    for hits, words in ((20, "more than by chance"), (0, "fewer than by chance"), (10, "not told apart from chance")):
-        learner = [make_line("l", 1, n, 500 if n < hits else None) for n in range(20)]
-        assert compare_with_chance(learner, chance, "l", 1_000).endswith(words)
-    late = [make_line("l", 1, n, 5_000) for n in range(20)]
-    assert compare_with_chance(late, chance, "l", 1_000).endswith("fewer than by chance")
-
-
-def test_exploration_is_said_to_help_where_two_trials_that_differ_in_it_alone_tell_so():
-    default = SettingsTrial("dqn", {}, 0, 1, 100, 9_000, 0, 0.25)
-    longer = dataclasses.replace(default, settings={"epsilon_steps": 60_000}, escapes=0.75)
-    assert "from 25% to 75%" in tell_exploration([longer, default])
-    assert not tell_exploration([longer, dataclasses.replace(default, buttons=2)])
-    assert not tell_exploration([default, dataclasses.replace(longer, settings={"epsilon_steps": 9, "gamma": 0.9})])
-
-
-def test_the_longest_runs_are_counted_with_what_they_paid():
-    runs = [make_line("f", 1, 0, 70_000, 80_000), make_line("f", 1, 1, None, 80_000),
-            make_line("f", 2, 0, None, 80_000), make_line("o", 1, 0, 100, 500)]
-    told = tell_longest(runs)
-    assert "80,000 primitives" in told and "`o`" not in told
-    assert told.endswith("`f` in 1 of 2 with 1 button, after 70,000; `f` in 0 of 1 with 2 buttons.")
-    more = [make_line("f", 1, number, 10_000 * number, 80_000) for number in (3, 1, 2)]
-    assert tell_longest(more).endswith("`f` in 3 of 3 with 1 button, after 10,000 to 30,000.")
-
-
-@pytest.mark.parametrize(("value", "told"), [(0.523, "0.52"), (3.44, "3.4"), (26.4, "26"), (1_344.0, "1,340")])
-def test_numbers_have_two_digits_and_all_before_the_point(value: float, told: str):
-    assert tell_number(value) == told
+def test_the_page_s_claim_breaks_where_options_cost_as_much():
+    rule = RULES["options-cost-less"]
+    for price, holds in ((100.0, True), (3.0, False)):
+        found = find_study("price").analysis.analyse(find_study("price"), rename(make_truth(price, 1.0)))
+        assert rule(SimpleNamespace(price=found.numbers)) == holds
+        assert found.numbers.ready[1] == (0, 10) and found.numbers.arrived[6] == (10, 10)
+    assert "| DQN over options | 10 of 10; " in found.tables["to_efficiency"]
 
 
 # --- rooms and runs ------------------------------------------------------------------------
@@ -381,33 +291,3 @@ def test_a_study_goes_on_where_it_was_stopped_and_makes_changed_runs_anew(tmp_pa
     assert not list(measure_price_runs(store, 0, 2, contestants=[dataclasses.replace(QUICK, replicates=1)]))
     other = dataclasses.replace(QUICK, settings={"gamma": 0.95})
     assert [run.replicate for run in measure_price_runs(store, 0, 2, contestants=[other])] == [0, 1]
-
-
-def test_the_figure_has_a_curve_a_learner_and_size_but_for_single_runs():
-    runs = [make_line(label, buttons, number, 300.0 * buttons, 10**6)
-            for label, buttons, count in (("dqn", 1, 2), ("dqn", 2, 1), ("random", 2, 1)) for number in range(count)]
-    panels = draw_price(runs).get_axes()
-    drawn = [[line.get_label() for line in axes.get_lines() if np.size(line.get_xdata()) > 1] for axes in panels]
-    assert [len(lines) for lines in drawn] == [1, 0, 0, 0, 0] * 2
-    legend = panels[len(BUTTON_COUNTS) - 1].get_legend()
-    assert legend is not None and [text.get_text() for text in legend.get_texts()] == ["dqn"]
-
-
-@pytest.mark.nightly
-def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
-    labels = {contestant.label for contestant in CONTESTANTS}
-    lines = [make_line(label, buttons, number, 300.0 * buttons * (1 + 30 * (label in PAIRS)))
-             for label in labels for buttons in BUTTON_COUNTS for number in range(10)]
-    page = tell("price", lines, tmp_path)
-    conclusions = find_study("price").analysis.analyse(find_study("price"), lines).conclusions
-    assert all(conclusion in page for conclusion in conclusions) and f"**{conclusions[0]}**" in page
-    assert "Until its first escape" in page
-    assert "31 (31 to 31) times the primitives of `options, dqn` with 1 button" in conclusions[0]
-    assert all(f"| {contestant.label} | 10 of 10; " in page for contestant in CONTESTANTS)
-    assert "not told apart from chance" in page
-    for variant in VARIANTS:
-        assert f". Until it is efficient, `{variant}` pays only 0.032 (0.032 to 0.032) times the primitives of" in page
-    assert (tmp_path / "figures" / "price.svg").exists()
-    assert f"kept of 0 of {len(lines)} runs; the others were made before." in page
-    curved = [dataclasses.replace(line, curve=((0, 0.0), (line.primitives, 0.0))) for line in lines]
-    assert f"kept of {len(lines)} of {len(lines)} runs." in tell("price", curved)

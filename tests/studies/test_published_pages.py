@@ -1,54 +1,40 @@
-"""The pages in docs/results say what the results of their studies say, in today's words."""
+"""The README and the list of result pages agree with the studies."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import re
+import copy
 from pathlib import Path
-from statistics import median
+from types import SimpleNamespace
 
 import pytest
 
-from studies.page import render
-from studies.parts.reach import BASELINE, FULL, HEADLINE, LIMIT, RULE, count_escapes, supports_headline
-from studies.running import analyse, open_store
-from studies.study import find_study, list_studies
+from studies.pages.parts import RULES
+from studies.parts.reach import BASELINE, FULL, RULE, count_escapes
+from studies.publishing import list_pages, load_findings
+from studies.running import open_store
+from studies.study import find_study
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
+HEADLINE = ("When a wrong press turns all buttons off, only agents that learn the dependencies escape from more than "
+            "ten buttons.")
+"""Stands in the README."""
 
 
-@pytest.mark.nightly_for(
-    "parts", "ladder", "canon", "scaling", "paper", "learned", "hierarchies", "buttons", "intra-option", "profiles",
-    "price", "budgets", "factorial")
-@pytest.mark.parametrize("name", list_studies())
-def test_a_published_page_is_what_its_results_give(name: str):
-    study = find_study(name)
-    lines = open_store(study, None).load()
-    assert render(study, analyse(study, lines)) == (RESULTS / f"{study.page}.md").read_text()
+def test_every_page_of_results_but_the_index_is_published_by_the_studies():
+    assert {path.stem for path in RESULTS.glob("*.md")} - {"index"} == set(list_pages())
 
 
-def test_every_page_of_results_but_the_index_and_the_quickstart_is_a_study_s():
-    pages = {path.stem for path in RESULTS.glob("*.md")} - {"index", "quickstart"}
-    assert pages == {study.page for study in list_studies().values()}
+@pytest.fixture
+def parts() -> SimpleNamespace:
+    """Numbers of the page on parts, to change."""
+    return SimpleNamespace(parts=copy.deepcopy(load_findings("parts").numbers))
 
 
-def test_numbers_to_quote_stand_on_their_pages():
-    rows = [row.split(" | ") for row in (RESULTS / "index.md").read_text().splitlines() if "python -m studies" in row]
-    assert len(rows) > 3
-    for _, measured, source in rows:
-        page = (RESULTS / re.search(r"\[page\]\((.+?)\)", source)[1]).read_text()
-        for number in re.findall(r"\d[\d,.]*\d%?|\d", measured):
-            assert re.search(rf"(?<![\d.]){re.escape(number)}(?![\d]|[.,]\d)", page), (number, source)
-
-
-def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones():
+def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(parts: SimpleNamespace):
     """Its headline, its control and its open problem."""
     study = find_study("parts")
     runs = open_store(study, None).load()
-    for own in study.data["slices"].values():
-        seeds = range(own["first_seed"], own["first_seed"] + own["runs"])
-        assert supports_headline([run for run in runs if run.seed in seeds])
+    assert RULES["only-structure-escapes-beyond-ten"](parts) and RULES["search-is-fastest-up-to-ten-buttons"](parts)
     readme = " ".join((RESULTS.parents[1] / "README.md").read_text().split())
     assert f"**{HEADLINE}**" in readme and len(HEADLINE.split()) <= 20
     assert "docs/results/figures/reach.svg" in readme and "docs/results/figures/reach-dark.svg" in readme
@@ -66,23 +52,39 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones()
         assert last == 0 and all(before)
 
 
-def test_with_three_to_ten_buttons_the_search_baseline_is_faster_than_every_learner():
-    """As the README says below its figure."""
-    study = find_study("parts")
-    cells = {cell["name"] for cell in study.data["cells"] if "reference" not in cell}
-    waits: dict[tuple[str, int], list[float]] = {}
-    for run in open_store(study, None).load():
-        if run.rule == RULE and not run.failure and run.cell in {*cells, BASELINE}:
-            waits.setdefault((run.cell, run.buttons), []).append(run.first_escape or math.inf)
-    medians = {place: median(own) for place, own in waits.items()}
-    sizes = [size for size in study.data["sizes"] if 3 <= size <= LIMIT]
-    assert sizes == [3, 4, 6, 8, 10]
-    assert all(medians[BASELINE, size] < middle for size in sizes for (cell, other), middle in medians.items()
-               if other == size and cell != BASELINE)
+@pytest.mark.parametrize("slice_", ["first", "fresh"])
+def test_a_single_escape_without_structure_refutes_the_headline(slice_: str, parts: SimpleNamespace):
+    getattr(parts.parts, slice_).escapes[BASELINE, RULE][15] = (1, 5)
+    assert not RULES["only-structure-escapes-beyond-ten"](parts)
+    getattr(parts.parts, slice_).escapes[BASELINE, RULE].pop(15)
+    assert RULES["only-structure-escapes-beyond-ten"](parts), "options with memory were run with 15, too"
 
 
-def test_a_single_escape_without_structure_refutes_the_headline():
-    runs = open_store(find_study("parts"), None).load()
-    other = next(run for run in runs if run.cell == BASELINE and run.rule == RULE and run.buttons > LIMIT)
-    changed = [dataclasses.replace(run, first_escape=500) if run is other else run for run in runs]
-    assert supports_headline(runs) and not supports_headline(changed)
+def test_one_learner_that_is_faster_than_search_refutes_the_finding(parts: SimpleNamespace):
+    parts.parts.first.medians[FULL, RULE][10] = 100.0
+    assert not RULES["search-is-fastest-up-to-ten-buttons"](parts)
+
+
+@pytest.mark.parametrize(("study", "page"), [
+    ("tools", "tools"), ("gallery", "puzzles"), ("velocities", "observations")])
+def test_tables_on_pages_of_the_docs_are_those_of_the_studies(study: str, page: str):
+    """Where this fails, `python -m studies STUDY --from-raw` prints the table."""
+    (table,) = load_findings(study).tables.values()
+    assert table in (RESULTS.parent / f"{page}.md").read_text()
+
+
+def test_claims_on_pages_of_the_docs_hold():
+    tools, gallery, velocities = (load_findings(study).numbers for study in ("tools", "gallery", "velocities"))
+    text = {page: (RESULTS.parent / f"{page}.md").read_text() for page in ("tools", "puzzles", "observations")}
+    assert all(gain.low > 0 for gain in tools.gains.values())
+    assert (f"The symbolic model raises efficiency by {tools.gains['model'].mean:.2f} over names and places. Places "
+            f"raise it by {tools.gains['places'].mean:.2f} over names, and remembering what was tried raises it by "
+            f"{tools.gains['memory'].mean:.2f} over random calls.") in text["tools"]
+    learned, searched = gallery.always["smdp-r-max"], gallery.always["search-nearest"]
+    assert f"in every episode of {len(learned)} puzzles, the search baseline in {len(searched)}." in text["puzzles"]
+    *others, last = [f"`{preset}`" for preset in learned if preset not in searched]
+    assert len(others) == 7 and f"{', '.join(others)} and {last}." in text["puzzles"]
+    one, four = velocities.ends.values()
+    assert (one.sign, four.sign) == (1, -1) and velocities.never["four buttons", "SAC over velocities"] == 10
+    assert (f"ends {one.mean:.1f} s sooner than SAC over options. With four buttons SAC over options ends "
+            f"{-four.mean:.0f} s sooner, because SAC over velocities never escapes.") in text["observations"]

@@ -1,4 +1,4 @@
-"""The scaling study: runs in real rooms, studies that go on, and pages made from raw results."""
+"""The scaling study: runs in real rooms, studies that go on, and rules with data of other truths."""
 
 import dataclasses
 import os
@@ -6,24 +6,26 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from studies.__main__ import main
+from studies.pages.scaling import RULES
 from studies.scaling import rounds as scaling
-from studies.scaling.difficulty import compute_rank_correlations, tell_difficulty
-from studies.scaling.findings import advise_sizes, tell_certainty, tell_replication, tell_sizes
-from studies.scaling.followed_runs import count_spared, follow_runs, list_bins
+from studies.scaling.analysis import analyse, compare_given
+from studies.scaling.followed_runs import count_spared, follow_runs
 from studies.scaling.results import RoomKind, ScalingRun
 from studies.scaling.rounds import (
     AGENTS,
-    SIZES,
-    TOLD,
-    TOLD_TASKS,
+    BAR,
+    GIVEN,
+    GIVEN_TASKS,
+    HOLDS,
     Round,
     choose_options,
     get_run_folder,
@@ -31,10 +33,9 @@ from studies.scaling.rounds import (
     run_round,
     run_scaling,
 )
-from studies.scaling.told import HOLDS, advise_told, compute_told_costs, tell_told, tell_too_few
 from studies.store import Store
 from studies.study import find_study
-from tests.studies.pages import load, save, tell
+from tests.studies.lines import load, save
 
 
 def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, graph="layered", first=400, near=900):
@@ -176,32 +177,22 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
         run_rounds(tmp_path, 60, round_)
 
 
-@pytest.mark.nightly
-def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
+def test_failures_count_where_they_were_not_tried_again():
     results = [make_result(), make_result(run=1, first=600, near=None), make_result(rule="reset"),
                make_result("random-options", first=None, near=None), make_result(buttons=20)]
-    save("scaling", results, tmp_path)
-    assert load("scaling", tmp_path) == results
-    assert main(["scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
-    page = (tmp_path / "scaling.md").read_text()
-    assert "| ignore | smdp-factored-r-max | — | — | — | 2 of 2; 500 | — | 1 of 1; 400 |" in page
-    assert "| ignore | smdp-factored-r-max | — | — | — | 1 of 2; 10,450 | — | 1 of 1; 900 |" in page
-    failed = "0 of 1; 20,000"
-    assert page.count(f"| ignore | random-options | — | — | — | {failed} | {failed} | {failed} |") == 1, \
-        "failures count where they were not tried again, and it learns nothing to evaluate"
-    assert "| 20 buttons, layered, ignore | 1 | 1 | 400 | 1.000 (1.00) | 1.000 (1.00) | 1 of 1 |" in page
-    for figure in ("scaling", "scaling-structure"):
-        assert "<svg" in (tmp_path / "figures" / f"{figure}.svg").read_text()[:1_000]
-    before = page, (tmp_path / "figures" / "scaling.svg").read_bytes()
-    assert (tell("scaling", results[::-1], tmp_path), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
+    escapes = find(*results[1:]).scaling.escapes
+    assert str(escapes["ignore", "smdp-factored-r-max", 10]) == "2 of 2; 500"
+    assert str(escapes["ignore", "random-options", 20]) == "0 of 1; 20,000"
+    assert ("ignore", "smdp-factored-r-max", 15) not in escapes
+    assert find(*results[:0:-1]).scaling.escapes == escapes, "the order of lines does not matter"
 
 
 @pytest.mark.nightly
 def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkeypatch):
-    """A run that was made again takes its line's place; all other lines stay, and what they tell stays on the page."""
+    """A repeated run takes the place of its line; all other lines stay."""
     for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2,))):
         monkeypatch.setattr(scaling, name, value)
-    kept = [dataclasses.replace(run, budget=60) for run in (make_result(buttons=20), make_result(TOLD[1].label))]
+    kept = [dataclasses.replace(run, budget=60) for run in (make_result(buttons=20), make_result(GIVEN[1].label))]
     old = dataclasses.replace(make_result("smdp-r-max", 2, graph="chain"), budget=60, room="old")
     other = dataclasses.replace(old, agent="smdp-q-learning")
     save("scaling", [*kept, old, other], tmp_path)
@@ -210,7 +201,6 @@ def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkey
     found = {run.place: run for run in load("scaling", tmp_path)}
     assert len(found) == 4 and all(found[run.place] == run for run in (*kept, other))
     assert found[old.place].room != "old" and found[old.place].budget == 60
-    assert "| ignore | all-on, 2 | 1 | 1 | 1 | 1 | 60 | 60 |" in (tmp_path / "scaling.md").read_text()
 
 
 def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_runs(tmp_path, capsys):
@@ -224,18 +214,6 @@ def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_r
     assert main([*call, "--agents", "smdp-dqm"]) == 2
     assert "unknown agent of the scaling study 'smdp-dqm'" in (said := capsys.readouterr().err) and "smdp-dqn" in said
     assert not list(tmp_path.glob("runs/*/runs/*")) and load("scaling", tmp_path) == [make_result()]
-
-
-@pytest.mark.nightly_for("1-commands0")
-@pytest.mark.parametrize(("told_runs", "commands"), [
-    (1, ["python -m studies scaling --runs 1 --primitives 20000"]),
-    (3, ["python -m studies scaling --parts bar agents --runs 1 --primitives 20000",
-         "python -m studies scaling --parts told --runs 3 --primitives 20000"]),
-])
-def test_the_page_ends_with_commands_that_make_its_runs_again(told_runs, commands):
-    told = [make_result(spec.label, run=run) for spec in TOLD for run in range(told_runs)]
-    page = tell("scaling", [make_result(buttons=4), make_result(rule="reset", run=9), *told])
-    assert page.endswith("\n".join(["```console", *commands, "```", ""]))
 
 
 def test_failures_stay_in_medians_and_means():
@@ -258,110 +236,21 @@ def test_runs_spared_by_failures_are_told_from_those_not_begun():
     assert count_spared(results, "reset", failed.agent, 10) == 0
 
 
-def test_bins_cover_all_rooms_once():
-    results = [dataclasses.replace(make_result(run=run), edges=edges, depth=1)
-               for run, edges in enumerate((1, 1, 2, 3, 5, 8, 13))]
-    bins = list_bins(results, "edges")
-    assert bins == [(1, 1), (2, 4), (5, 7), (8, 13)]
-    assert list_bins(results[:2], "edges") == [(1, 1)] == list_bins(results, "depth")
-
-
-def make_rooms(read):
-    """Rooms of all sizes in which edges and depth go their own ways; the first escape follows one of the measures."""
-    rooms = [(buttons, edges, depth) for buttons in SIZES for edges in (1, 9, 4) for depth in (3, 1)]
-    return [dataclasses.replace(make_result(agent, buttons, run=run, first=100 + 50 * read(buttons, edges, depth)),
-                                edges=edges, depth=depth)
-            for agent in AGENTS[:3] for run, (buttons, edges, depth) in enumerate(rooms)]
-
-
-@pytest.mark.parametrize(("read", "said"), [
-    (lambda buttons, edges, depth: edges, "Edges that matter order rooms best"),
-    (lambda buttons, edges, depth: depth, "Depth orders rooms best"),
-    (lambda buttons, edges, depth: buttons, "Buttons order rooms best"),
-    (lambda buttons, edges, depth: SIZES.index(buttons) + 2 * (1, 4, 9).index(edges),
-     "Buttons order rooms better than depth and edges that matter order rooms better than depth by"),
-    (lambda buttons, edges, depth: (7 * buttons + 3 * edges + 5 * depth) % 11,
-     "No measure is shown to order rooms better than another"),
-])
-def test_what_makes_rooms_difficult_is_read_off_the_runs(read, said):
-    sentence, = tell_difficulty(make_rooms(read), np.random.default_rng(0))
-    assert said in sentence
-
-
-def test_rank_correlations_are_spearmans_averaged_over_agents_and_rules():
-    rooms = [run for run in make_rooms(lambda buttons, edges, depth: buttons * edges + depth) if run.agent == AGENTS[0]]
-    rooms += [dataclasses.replace(run, rule="reset", first_escape=None if run.edges == 9 else run.buttons)
-              for run in rooms]
-    found = compute_rank_correlations(rooms)
-    for measure, read in (("buttons", lambda run: run.buttons), ("edges that matter", lambda run: run.edges)):
-        expected = [stats.spearmanr([read(run) for run in own], [run.first_escape or run.budget for run in own])[0]
-                    for own in (rooms[:36], rooms[36:])]
-        assert found[measure] == pytest.approx(np.mean(expected))
-
-
-def test_sizes_that_all_runs_master_are_told_agent_by_agent():
-    results = [make_result(AGENTS[0], buttons) for buttons in SIZES]
-    results += [make_result(AGENTS[2], buttons, first=None if buttons == 6 else 400) for buttons in (2, 4, 6)]
-    results += [make_result(AGENTS[3], 2, first=None), make_result(AGENTS[4], 2)]
-    assert tell_sizes(results) == [
-        "With the ignore rule all planned runs escape up to 20 buttons for `factored-r-max`; up to 4 buttons for "
-        "`r-max`; up to 2 buttons for `dqn` (not tried with more); with no number of buttons for `q-learning`."]
-    assert advise_sizes(results).startswith("For many buttons take `factored-r-max`, which comes furthest whatever the")
-    hard = [*results, *(make_result(AGENTS[0], buttons, rule="reset", first=None if buttons > 2 else 400)
-                        for buttons in SIZES)]
-    assert "take `r-max`, which comes furthest whatever the rule, up to 4 buttons" in advise_sizes(hard)
-    assert "Begin with fewer buttons" in advise_sizes(results[-2:-1])
-
-
-@pytest.mark.parametrize(("escapes", "said"), [
-    (3, "up to 15 buttons; the lead is not told apart: with 15 buttons under `ignore` 4 of 4 runs of `factored-r-max` "
-        "escape, 3 of 4 of `r-max`."),
-    (0, "up to 15 buttons."),
-])
-def test_a_lead_of_a_run_is_not_called_one(escapes: int, said: str):
-    """By Fisher's test 4 of 4 are told from 0 of 4 (p = 0.029), and not from 3 of 4 (p = 1)."""
-    first = [make_result(AGENTS[0], buttons, run=run) for buttons in SIZES[:-1] for run in range(4)]
-    second = [make_result("smdp-r-max", buttons, run=run, first=400 if buttons < 15 or run < escapes else None)
-              for buttons in SIZES[:-1] for run in range(4)]
-    assert advise_sizes([*first, *second]).endswith(said), advise_sizes([*first, *second])
-
-
-def test_few_runs_that_all_escape_leave_much_open():
-    runs = [make_result(run=run) for run in range(4)] + [make_result(buttons=6, run=run) for run in range(10)]
-    low = [stats.binomtest(count, count).proportion_ci(0.95, "exact").low for count in (4, 10)]
-    assert tell_certainty(runs) == (
-        f"Where all runs of a cell escape, the share that would is {low[0]:.2f} or more with 4 runs and {low[1]:.2f} "
-        "or more with 10 runs (Clopper and Pearson).")
-    assert tell_certainty([make_result(first=None)]) == ""
-
-
-def test_what_structure_learners_are_told_is_what_the_labels_say():
-    assert len({spec.label for spec in TOLD}) == len(TOLD) == 8
-    for spec in TOLD:
+def test_what_structure_learners_are_given_is_what_the_labels_say():
+    assert len({spec.label for spec in GIVEN}) == len(GIVEN) == 8
+    for spec in GIVEN:
         settings = spec.resolve_settings()
         assert spec.label == f"{settings['conditions']}, {settings['max_parents']}"
-    noisy, exact = make_room(TOLD_TASKS[1]), make_room(TOLD_TASKS[0])
+    noisy, exact = make_room(GIVEN_TASKS[1]), make_room(GIVEN_TASKS[0])
     assert (noisy.dynamics.noise, noisy.dynamics.slip) == (0.1, 0.1)
     assert dataclasses.replace(noisy, name=exact.name, dynamics=exact.dynamics) == exact
 
 
-@pytest.mark.nightly
-def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_path):
-    told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 1": None})
-    bar = [make_result(run=run, rule="reset") for run in range(10)]
-    failed = [dataclasses.replace(run, run=run.run + 100, near_best=None) for run in bar]
-    with pytest.raises(ComparisonError, match="with the part agents"):
-        tell("scaling", told)
-    save("scaling", [*told, *bar, *failed], tmp_path)
-    assert main(["scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
-    page = (tmp_path / "scaling.md").read_text()
-    assert "<summary>What structure learners are told</summary>" in page and "(seeds 100 to 109)" in page
+LABELS = [spec.label for spec in GIVEN]
+FEW: dict[str, int | None] = {"all-on, 1": None, "any, 1": None}
 
 
-LABELS = [spec.label for spec in TOLD]
-
-
-def make_told(waits, runs=10, rule="ignore"):
+def make_given(waits: Mapping[str, int | None], runs: int = 10, rule: str = "ignore") -> list[ScalingRun]:
     """Runs of the labels that are near the best with the whole graph after so many primitives, or never."""
     exact, part = ((800, 1.0, 1.0),), ((100, 1.0, 0.5),)
     return [dataclasses.replace(
@@ -369,74 +258,39 @@ def make_told(waits, runs=10, rule="ignore"):
         structure=part if wait is None else exact) for label, wait in waits.items() for run in range(runs)]
 
 
-def test_being_told_less_costs_what_the_runs_show():
+def find(*runs: ScalingRun) -> SimpleNamespace:
+    return SimpleNamespace(scaling=analyse(find_study("scaling"), [*runs, make_result()]).numbers)
+
+
+def test_what_a_learner_is_given_costs_what_the_runs_show():
     """By hand: 20,000 in place of 900 is 19,100 more; the signs of ten pairs have p = 2 / 1,024, times 7 by Holm."""
-    told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 4": 700})
-    told = [dataclasses.replace(run, primitives=600 + 100 * (run.run % 7)) if run.agent == "all-on, 3" else run
-            for run in told]
-    sentence, power = tell_told(told)
-    assert power.startswith("A study of this size has 80 % power to detect a difference of "), "one varies"
-    assert advise_told(told) == "Tell `factored-r-max` `any, 4`, which is shown to help beyond what holds."
-    slow = make_told({label: 900 for label in LABELS} | {"all-on, 1": None})
-    assert advise_told(slow) == ("Tell `factored-r-max` what holds and nothing else: told `all-on, 1` it takes longer.")
-    assert "is not shown to change how long it takes." in advise_told(make_told({label: 900 for label in LABELS}))
-    assert "all runs have the whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2`, `any, 3` " \
-        "or `any, 4`; not all do told `all-on, 1` (0 of 10)." in sentence
-    assert "it takes more primitives told `all-on, 1` (19,100, 19,100 to 19,100, in 10 of 10 pairs); it takes " \
-        "fewer primitives told " \
-        "`any, 4` (200, 200 to 200, in 10 of 10 pairs); no difference is " \
-        "shown told `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2` " \
-        "or `any, 3`." in sentence
-    costs = {cost.label: cost for cost in compute_told_costs(told)}
-    assert HOLDS not in costs and costs["all-on, 1"].p == pytest.approx(7 * 2 / 2**10) == costs["any, 4"].p
-    own = [run.primitives - 900 for run in told if run.agent == "all-on, 3"]
-    assert costs["all-on, 3"].more == pytest.approx(np.mean(own)) and costs["all-on, 3"].p == 1
-    everywhere = [dataclasses.replace(run, rule=task.rule) for task in TOLD_TASKS for run in told]
-    shown = [cost.p for cost in compute_told_costs(everywhere) if cost.is_shown]
-    assert shown == pytest.approx(6 * [21 * 2 / 2**10])
+    costs = compare_given(make_given({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 4": 700}))
+    assert ("ignore", HOLDS) not in costs and costs["ignore", "all-on, 1"].p == pytest.approx(7 * 2 / 2**10)
+    assert costs["ignore", "all-on, 1"].mean == 19_100 and costs["ignore", "any, 4"].mean == -200
+    assert {label: cost.sign for (_, label), cost in costs.items() if cost.sign} == {"all-on, 1": 1, "any, 4": -1}
+    assert compare_given(make_given(dict.fromkeys(LABELS, 900), runs=9)) == {}, "nine pairs show nothing"
 
 
-def test_too_few_parents_are_called_the_worst_only_where_they_are():
-    few = {"all-on, 1": None, "any, 1": None}
-    told = make_told({label: 900 for label in LABELS} | few)
-    told = [dataclasses.replace(run, structure=((800, 1.0, 1.0),)) if run.run < 3 and run.agent in few else run
-            for run in told]
-    sentence = ("Too few parents are the worst to be told: with `all-on, 1` or `any, 1` it finds the whole graph in at "
-                "most 3 of 10 runs, with the others in at least 10 of 10.")
-    assert tell_too_few(told) == sentence and advise_told(told).endswith(f" it takes longer. {sentence}")
-    assert tell_too_few(make_told({label: 900 for label in LABELS} | few | {"any, 4": None})) == "", "as bad as they"
-    assert tell_too_few(make_told({label: 900 for label in LABELS})) == ""
-    assert tell_too_few(make_told({label: 900 for label in LABELS} | few, runs=9)) == ""
+def test_rules_on_what_is_given_follow_the_runs():
+    alike = dict.fromkeys(LABELS, 900)
+    slow = find(*make_given(alike | FEW))
+    assert RULES["give-enough-parents"](slow) and RULES["more-costs"](slow)
+    assert not RULES["give-enough-parents"](find(*make_given(alike | FEW | {"any, 4": None}))), "as bad as they"
+    assert not RULES["give-enough-parents"](find(*make_given(alike))) and not RULES["more-costs"](find(
+        *make_given(alike | {"any, 4": 700} | FEW)))
 
 
-def test_nothing_is_concluded_of_fewer_than_ten_runs_or_without_what_holds():
-    told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None}, runs=9, rule="reset")
-    assert tell_told(told) == ["Rule reset: nothing is concluded from 9 runs of a label."]
-    assert {cost.p for cost in compute_told_costs(told)} == {1.0}
-    sentence, = tell_told(make_told({"all-on, 1": None, "any, 1": None}))
-    assert "told nothing here all runs have the whole graph (`all-on, 1` (0 of 10) and `any, 1` (0 of 10))." in sentence
-    assert f"None was told `{HOLDS}`" in sentence
+def make_bar(near: int, first: int = 0) -> list[ScalingRun]:
+    """Ten runs in each room of the bar, so many of which are near the best in the smaller one."""
+    return [make_result(buttons=task.buttons, rule=task.rule, run=first + run,
+                        near=900 if task.buttons == 20 or run < near else None) for task in BAR for run in range(10)]
 
 
-def test_fresh_seeds_are_held_against_the_published_ones_by_fishers_test():
-    """Of 10 and 10 runs, 10 against 5 has p = 0.033, twice that by Holm where the bar has two rooms; 10 against 4 has
-    0.011 and 0.022."""
-    def make_bar(near, runs=10, first=0):
-        return [make_result(run=first + run, rule="reset", near=900 if run < near else None) for run in range(runs)]
-
-    def make_twenty():
-        return [make_result(buttons=20, run=run) for run in range(10)]
-
-    assert "which does not differ significantly from the published 10 of 10" in \
-        tell_replication(make_bar(10), make_bar(10))[0]
-    assert "5 of 10 reach 95% of the best return (seeds 100 to 109), fewer than the published 10 of 10" in \
-        tell_replication(make_bar(5, first=100), make_bar(10))[0]
-    for near, said in ((5, "which does not differ significantly from"), (4, "fewer than")):
-        first, second = tell_replication([*make_bar(near), *make_twenty()], [*make_bar(10), *make_twenty()])
-        assert "which does not differ significantly from" in first and said in second
-    assert "10 of 10 reach" in (sentence := tell_replication(make_bar(10), make_bar(4))[0])
-    assert "more than the published 4 of 10" in sentence
-    assert "too few runs to compare with" in tell_replication(make_bar(0, runs=9), make_bar(10))[0]
+@pytest.mark.parametrize(("published", "fresh", "passed"), [(10, 10, True), (9, 10, False), (10, 9, False)])
+def test_the_bar_is_passed_by_all_published_and_all_fresh_runs(published: int, fresh: int, passed: bool):
+    numbers = find(*make_bar(published), *make_bar(fresh, 100))
+    assert RULES["the-bar-is-passed"](numbers) == passed
+    assert [own.near_best for own in numbers.scaling.bar if own.runs == 10] == [10, 10, published, fresh]
 
 
 @pytest.mark.parametrize("option", ["--runs=0", "--runs=-3", "--primitives=0", "--minutes=0"])
@@ -449,4 +303,6 @@ def test_a_study_of_nothing_is_refused_and_leaves_earlier_results_alone(tmp_path
 
 def test_results_of_an_unknown_agent_are_refused():
     with pytest.raises(UnknownNameError, match="smdp-dreamer"):
-        tell("scaling", [make_result(), make_result("smdp-dreamer")])
+        find(make_result("smdp-dreamer"))
+    with pytest.raises(ComparisonError, match="with the part agents"):
+        analyse(find_study("scaling"), make_given({HOLDS: 900}))

@@ -13,8 +13,6 @@ from studies.statistics import (
     compute_slope,
     correct_by_benjamini_hochberg,
     cut_signs,
-    find_visible_shift,
-    tell_power,
 )
 
 
@@ -89,7 +87,7 @@ def test_false_discoveries_are_scipys():
     assert correct_by_benjamini_hochberg(p.tolist()) == pytest.approx(stats.false_discovery_control(p))
 
 
-# --- what would have been seen ---------------------------------------------------------
+# --- intervals -------------------------------------------------------------------------
 
 
 @pytest.mark.nightly
@@ -110,22 +108,3 @@ def test_the_interval_of_signs_leaves_out_nought_where_their_test_does():
         low, high = cut_signs(values, 0.95)
         assert (low > 0 or high < 0) == (p <= 0.05) and low < values.mean() < high
     assert cut_signs(rng(0).normal(size=4), 0.95) == (-np.inf, np.inf)
-
-
-def test_a_shift_is_visible_where_the_t_test_would_see_it():
-    """For ten normal differences with a deviation of 1, Student's t sees a mean of 0.996 in 80 % of studies."""
-    values = rng(1).normal(size=10)
-    values = (values - values.mean()) / values.std(ddof=0)
-    found = find_visible_shift(values, 0.05)
-    assert found == pytest.approx(0.996, abs=0.12)
-    assert find_visible_shift(3 * values, 0.05) == pytest.approx(3 * found, rel=0.02)
-    assert find_visible_shift(values, 0.01) > found and find_visible_shift(values, 0.05, power=0.5) < found
-    assert find_visible_shift(values, 0.001) == np.inf, "the least p of ten signs is 2 / 1,024"
-    assert find_visible_shift([2.0] * 10, 0.05) == 0
-
-
-def test_power_is_told_of_what_varies():
-    assert tell_power([0.0, 0.1, 0.3], "a gain of", "{:.1f}".format) == (
-        "A study of this size has 80 % power to detect a gain of 0.2 in half of these comparisons, and of 0.3 in all.")
-    assert tell_power([0.1, np.inf], "a gain of", str).startswith("In 1 of 2 of these comparisons there were too few")
-    assert tell_power([0.0], "a gain of", str) == ""

@@ -1,8 +1,9 @@
-"""What one floor teaches: sentences from data of other truths, and real towers."""
+"""Room sequences: gains from data of other truths, and real sequences."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,16 +11,16 @@ import pytest
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.room_sequence import repeat_set
-from studies.storeys.analysis import FloorRun, play_towers, tell
+from studies.pages.storeys import RULES
+from studies.storeys.analysis import FloorRun, analyse, play_towers, summarise
 from studies.study import find_study
-from tests.studies.pages import tell as write_page
 
 STUDY = find_study("storeys")
 DATA = STUDY.data
 
 
 def make_lines(remembers: tuple[float, ...]) -> list[FloorRun]:
-    """Forty towers around these efficiencies by floor; who forgets and the searcher stay where they are."""
+    """Forty sequences around these efficiencies by room; without memory, and when searching, they stay."""
     rng = np.random.default_rng(0)
     return [FloorRun(agent, repeats, floor, tuple(np.clip(mean + 0.05 * rng.normal(size=40), 0, 1).tolist()))
             for agent, repeats, means in ((DATA["ceiling"], True, remembers), (DATA["ceiling"], False, (0.8,) * 3),
@@ -27,36 +28,37 @@ def make_lines(remembers: tuple[float, ...]) -> list[FloorRun]:
             for floor, mean in enumerate(means, 1)]
 
 
-@pytest.mark.parametrize(("remembers", "headline"), [
-    ((0.8, 0.95, 0.96), "the first floor pays: from floor 1 to floor 3 efficiency rises by +0.1"),
-    ((0.8, 0.8, 0.8), "no floor is shown to pay on another"), ((0.9, 0.8, 0.7), "efficiency falls by -0.2")])
-def test_the_page_says_whether_the_first_floor_pays(remembers: tuple[float, ...], headline: str, tmp_path: Path):
-    page = write_page("storeys", make_lines(remembers), tmp_path)
-    assert headline in page.splitlines()[2] and page.splitlines()[2].startswith("**For an agent that knows")
-    assert (tmp_path / "figures/storeys.svg").stat().st_size > 5_000
-    assert page.count("no floor is shown to pay on another") == 2 + (remembers == (0.8, 0.8, 0.8))
+@pytest.mark.parametrize(("remembers", "gain", "pays"), [
+    ((0.8, 0.95, 0.96), 0.16, True), ((0.8, 0.8, 0.8), 0.0, False), ((0.9, 0.8, 0.7), -0.2, False)])
+def test_memory_pays_only_where_efficiency_rises(remembers: tuple[float, ...], gain: float, pays: bool):
+    numbers = analyse(STUDY, make_lines(remembers)).numbers
+    assert numbers.remembering.mean == pytest.approx(gain, abs=0.02) and numbers.count == 40
+    assert numbers.forgetting.low < 0 < numbers.forgetting.high
+    assert RULES["memory-pays"](SimpleNamespace(storeys=numbers)) == pays
 
 
-def test_one_lucky_tower_is_no_payment():
-    floors = [np.full(40, 0.8), np.append(np.full(39, 0.8), 1.0)]
-    assert "no floor is shown to pay" in tell(floors, "someone")
+def test_a_rise_without_memory_refutes_the_finding():
+    lines = make_lines((0.8, 0.95, 0.96))
+    forgotten = [dataclasses.replace(line, repeats=False) for line in lines if line.repeats
+                 and line.agent == DATA["ceiling"]]
+    kept = [line for line in lines if line.repeats]
+    assert not RULES["memory-pays"](SimpleNamespace(storeys=analyse(STUDY, [*kept, *forgotten]).numbers))
 
 
-def test_a_difference_that_rounds_to_nothing_has_no_sign():
-    for last, gain in ((0.799, "0.00"), (0.801, "0.00"), (0.794, "-0.01")):
-        floors = [np.full(40, 0.8), np.tile([last - 0.2, last + 0.2], 20)]
-        assert f"shown to pay on another: {gain} (" in tell(floors, "someone")
+def test_one_lucky_sequence_is_no_gain():
+    found = summarise(np.append(np.zeros(39), 0.2))
+    assert found.low < 0 < found.mean < found.high
 
 
-def test_a_floor_that_was_not_played_is_missed():
-    with pytest.raises(ComparisonError, match="not played on every floor"):
-        write_page("storeys", make_lines((0.8, 0.9, 0.95))[1:])
+def test_a_room_that_was_not_played_is_missed():
+    with pytest.raises(ComparisonError, match="not played in every room"):
+        analyse(STUDY, make_lines((0.8, 0.9, 0.95))[1:])
 
 
 @pytest.mark.nightly
 def test_what_was_found_out_below_pays_above_and_only_where_it_is_carried():
     tower = repeat_set(load_benchmark("marks-3")["storeys"].test, 2)
     carried, forgotten = (play_towers(DATA["ceiling"], tower, repeats, 6) for repeats in (True, False))
-    assert carried[0].efficiencies == forgotten[0].efficiencies, "nothing is known on the first floor"
+    assert carried[0].efficiencies == forgotten[0].efficiencies, "nothing is known in the first room"
     assert np.mean(carried[1].efficiencies) > np.mean(forgotten[1].efficiencies) + 0.05
     assert np.mean(carried[1].efficiencies) > 0.95

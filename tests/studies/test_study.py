@@ -1,4 +1,4 @@
-"""A study is a folder: a new one is planted, run by the public command, and written anew from its results."""
+"""A study is a folder: a new one is planted, run by the public command, and analysed again from its results."""
 
 from __future__ import annotations
 
@@ -28,39 +28,25 @@ eval_episodes = 1
 ANALYSIS = '''
 """Share of the runs of each agent that escape."""
 
-from studies.page import make_table
-from studies.study import Page
+from types import SimpleNamespace
 
-
-def tell_best(shares):
-    best = max(shares, key=shares.get)
-    return f"`{best}` escapes most often." if len(set(shares.values())) > 1 else "All agents escape as often."
+from studies.study import Findings
+from studies.tables import make_table
 
 
 def analyse(study, lines):
     agents = {line.agent: [other for other in lines if other.agent == line.agent] for line in lines}
     shares = {agent: sum(run.escapes for run in runs) / len(runs) for agent, runs in agents.items()}
     rows = [[agent, len(agents[agent]), f"{share:.2f}"] for agent, share in shares.items()]
-    return Page({"verdict": tell_best(shares), "rows": make_table(["agent", "runs", "escape"], rows)},
-                conclusions=[tell_best(shares)])
+    return Findings(SimpleNamespace(shares=shares), {"shares": make_table(["agent", "runs", "success rate"], rows)})
 '''
-TEMPLATE = """# By chance
-
-{{ verdict }}
-
-{{ rows }}
-
-```console
-{{ study.command }} --runs 2
-```
-"""
 
 
 @pytest.fixture
 def planted(tmp_path: Path) -> Path:
     folder = tmp_path / "one_button"
     folder.mkdir()
-    for name, text in (("study.toml", DEFINITION), ("analysis.py", ANALYSIS), ("page.md.j2", TEMPLATE)):
+    for name, text in (("study.toml", DEFINITION), ("analysis.py", ANALYSIS)):
         (folder / name).write_text(text)
     return folder
 
@@ -69,19 +55,16 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
     return run_module("studies", *arguments, cwd=ROOT.parent)
 
 
-def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(
-        planted: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_new_study_is_a_folder_of_fewer_than_60_lines(planted: Path, capsys: pytest.CaptureFixture[str]):
     assert sum(len((planted / name).read_text().splitlines()) for name in ("study.toml", "analysis.py")) < 60
     docs = planted.parent / "docs"
     assert main([str(planted), "--docs", str(docs), "--out", str(planted.parent / "runs"), "--workers", "1"]) == 0
-    printed = capsys.readouterr().out
-    assert "`oracle` escapes most often." in printed and f"Page: {docs / 'one-button.md'}" in printed
-    page, raw = (docs / "one-button.md").read_text(), docs / "raw" / "one-button.jsonl"
-    assert "| oracle | 2 | 1.00 |" in page and f"python -m studies {planted} --runs 2" in page
+    assert "| oracle | 2 | 1.00 |" in capsys.readouterr().out
+    raw = docs / "raw" / "one-button.jsonl"
     assert raw.read_text().count("\n") == 5
     raw.write_text(raw.read_text().replace('"escapes":1.0', '"escapes":0.0'))
     assert main([str(planted), "--docs", str(docs), "--from-raw"]) == 0
-    assert "All agents escape as often." in (docs / "one-button.md").read_text()
+    assert "| oracle | 2 | 0.00 |" in capsys.readouterr().out
 
 
 @pytest.mark.nightly
@@ -91,13 +74,13 @@ def test_two_processes_of_one_study_that_share_a_folder_keep_all_lines(planted: 
         both = [pool.submit(call, str(planted), "--docs", str(docs), "--workers", "1", "--out",
                             str(planted.parent / f"runs-{seed}"), "--first-seed", str(seed)) for seed in (0, 100)]
     assert [each.result().returncode for each in both] == [0, 0]
-    assert "| random | 4 | " in (docs / "one-button.md").read_text()
+    assert call(str(planted), "--docs", str(docs), "--from-raw").stdout.count("| random | 4 | ") == 1
 
 
 def test_results_without_another_folder_go_beside_the_study(planted: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(planted.parent)
     assert main([str(planted), "--runs", "1", "--primitives", "60", "--workers", "1"]) == 0
-    assert (planted / "raw.jsonl").is_file() and (planted.parent / "docs/results/one-button.md").is_file()
+    assert (planted / "raw.jsonl").is_file()
 
 
 def test_studies_are_listed_and_a_wrong_name_is_answered_with_the_right_ones(capsys: pytest.CaptureFixture[str]):
@@ -109,9 +92,9 @@ def test_studies_are_listed_and_a_wrong_name_is_answered_with_the_right_ones(cap
 
 
 @pytest.mark.parametrize("name", list_studies())
-def test_a_study_is_data_words_results_and_an_analysis(name: str):
+def test_a_study_is_data_results_and_an_analysis(name: str):
     study = find_study(name)
-    assert {"study.toml", "page.md.j2", "raw.jsonl"} <= {path.name for path in study.folder.iterdir()}
+    assert {"study.toml", "raw.jsonl"} <= {path.name for path in study.folder.iterdir()}
     assert callable(study.analysis.analyse)
     assert study.data["about"].startswith(("Measure ", "Run ", "Find "))
     assert f"python -m studies {name}" in read_toml(study.folder / "study.toml")["about"]

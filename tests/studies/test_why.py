@@ -1,4 +1,4 @@
-"""Why options help: sentences from data of other truths, and the learner that explores by them in real rooms."""
+"""Parts of what options provide: comparisons of known data, and learners that explore and plan by options."""
 
 from __future__ import annotations
 
@@ -11,32 +11,22 @@ import pytest
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.train import train
 from hrl_escape.options.options_env import OptionsEnv
-from studies.league.analysis import SearcherRun
 from studies.price.contestants import Contestant, sample_replicate_room
 from studies.price.explorer import make_explorer
 from studies.price.lookahead import EXIT, list_events, make_lookahead
 from studies.price.over_primitives import count_primitives, measure_lengths
 from studies.price.runs import PriceRun, compute_run_key
-from studies.price.words import conclude_prices
 from studies.study import find_study
 from studies.why.analysis import (
     AHEAD,
-    ESCAPE,
     EXPLORES,
-    HALF,
     RANDOM_AHEAD,
     REPEATS,
-    advise,
+    Pair,
     compare,
-    find_gains,
+    count_alike,
     list_families,
-    tell_headline,
-    tell_pairs,
-    tell_planning,
-    tell_rooms,
-    tell_searcher,
 )
-from tests.studies.pages import tell as write_page
 
 STUDY = find_study("why")
 FLAT, WHOLE = STUDY.data["flat"], STUDY.data["whole"]
@@ -57,150 +47,38 @@ def make_lines(escapes: dict[str, float], halves: dict[str, float], sizes=(1, 2)
     return lines
 
 
-def say(escapes: dict[str, float], halves: dict[str, float]) -> str:
-    return tell_headline(STUDY, compare(STUDY, make_lines(escapes, halves)))
 
 
-def test_exploration_alone_is_told_apart_from_whole_options_and_from_repeats():
-    told = say({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000, EXPLORES: 20_000, WHOLE: 1_000})
-    assert "brings the first escape sooner with 1 and 2 buttons; whole options are not shown to bring it sooner" in told
-    assert "policy of half the efficiency sooner with 1 and 2 buttons, and whole options bring it sooner still" in told
-    assert told.endswith("Repeats that last as long do less, so what helps is where options lead, not that they last.")
+def find_gains(one: str, other: str, cost: str, escapes: dict[str, float], halves: dict[str, float]) -> set[int]:
+    """Numbers of buttons with which one learner is shown to pay more than another."""
+    found = compare(STUDY, make_lines(escapes, halves))
+    return {ratio.buttons for ratio in found[Pair(one, other), cost] if ratio.middle.low > 1}
 
 
-def test_learners_that_are_one_until_they_escape_are_called_so():
+def test_each_part_is_compared_with_the_flat_learner_and_its_control():
+    escapes = {FLAT: 9_000, EXPLORES: 100, WHOLE: 100, AHEAD: 1_000}
+    halves = {FLAT: 50_000, EXPLORES: 20_000, WHOLE: 1_000}
+    for one, other, cost, sizes in ((FLAT, EXPLORES, "escape", {1, 2}), (FLAT, EXPLORES, "half", {1, 2}),
+                                    (EXPLORES, WHOLE, "escape", set()), (EXPLORES, WHOLE, "half", {1, 2}),
+                                    (REPEATS, EXPLORES, "escape", {1, 2}), (FLAT, AHEAD, "escape", {1, 2}),
+                                    (FLAT, AHEAD, "half", set()), (RANDOM_AHEAD[0], AHEAD, "escape", {1, 2})):
+        assert find_gains(one, other, cost, escapes, halves) == sizes, (one, other, cost)
+
+
+def test_learners_with_the_same_costs_are_counted():
     lines = make_lines({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000})
     first = {(line.buttons, line.replicate): line.first_escape for line in lines if line.agent == EXPLORES}
-
-    def copy(count: int) -> list[PriceRun]:
-        return [dataclasses.replace(line, first_escape=first[line.buttons, line.replicate])
-                if line.agent == WHOLE and line.replicate < count else line for line in lines]
-
-    for count, is_told in ((10, True), (6, True), (5, False), (0, False)):
-        found = compare(STUDY, copy(count))
-        told = tell_headline(STUDY, found)
-        assert (f"and until then {2 * count} of 20 runs are the same with whole options, as both" in told) == is_told
-        assert ("; whole options are not shown to bring it sooner still; it" in told) != is_told
-        said = tell_pairs(STUDY, found, copy(count))
-        assert (f"Until its first escape, `{EXPLORES}` and `{WHOLE}` pay as much in {2 * count} of 20 runs, so the "
-                "factor does not change with the number of buttons." in said) == is_told
-        assert len(said) == len(set(said)) == 12
+    same = [dataclasses.replace(line, first_escape=first[line.buttons, line.replicate])
+            if line.agent == WHOLE and line.replicate < 6 else line for line in lines]
+    assert count_alike(compare(STUDY, same), Pair(EXPLORES, WHOLE), "escape") == (12, 20)
 
 
-def test_rooms_that_the_price_of_flatness_has_beyond_these_are_told_of():
-    lines = make_lines({FLAT: 9_000}, {FLAT: 50_000})
-    more = [dataclasses.replace(line, replicate=line.replicate + 10) for line in lines if line.buttons == 2]
-    assert tell_rooms(lines, [*lines, *more]) == (
-        "That page has 20 rooms with 2 buttons, of which 10 are here, so that its factors differ.")
-    assert not tell_rooms(lines, lines)
-
-
-def test_other_truths_give_other_sentences():
-    told = say({FLAT: 9_000, WHOLE: 100}, {FLAT: 50_000, WHOLE: 1_000})
-    assert "is not shown to bring the first escape sooner, and whole options bring it sooner still with 1 and 2" in told
-    assert told.endswith("Repeats that last as long are not shown to do less.")
-    told = say({FLAT: 9_000, EXPLORES: 100, REPEATS: 100, WHOLE: 100}, {FLAT: 5_000})
-    assert "it is not shown to bring a greedy policy of half the efficiency sooner." in told
-
-
-def plan(escapes: dict[str, float], halves: dict[str, float], sizes=(1, 2)) -> str:
-    return tell_planning(STUDY, compare(STUDY, make_lines(escapes, halves, sizes)))
-
-
-WAYS_AHEAD, STEPS_AHEAD = RANDOM_AHEAD
-
-
-def test_planning_is_told_apart_from_imagining_at_random():
-    told = plan({FLAT: 9_000, AHEAD: 1_000}, {FLAT: 50_000, AHEAD: 20_000})
-    assert told.startswith("A learner that imagines options, and runs none, reaches its first escape sooner than `dqn` "
-                           "with 1 and 2 buttons and a greedy policy of half the efficiency sooner than `dqn` with 1")
-    assert told.endswith("of half the efficiency later with 1 and 2 buttons: where options lead is what helps.")
-    told = plan({FLAT: 9_000, AHEAD: 1_000, WAYS_AHEAD: 3_000, STEPS_AHEAD: 3_000}, {FLAT: 50_000}, (1,))
-    assert told.endswith("bring its first escape later with 1 button: where options lead is what helps, "
-                         "beside imagining at all.")
-    for control in RANDOM_AHEAD:  # as good as one of the two, or better
-        for costs in ({control: 1_000}, {control: 200}):
-            told = plan({FLAT: 9_000, AHEAD: 1_000} | costs, {FLAT: 50_000})
-            assert told.endswith("As many random primitives are not shown to do less.") and "policy" not in told
-
-
-def test_what_random_ways_lack_counts_only_where_options_gain():
-    told = plan({FLAT: 9_000, AHEAD: 1_000, WAYS_AHEAD: 1_000, STEPS_AHEAD: 1_000},
-                {FLAT: 20_000, WAYS_AHEAD: 90_000, STEPS_AHEAD: 90_000})
-    assert told.endswith("sooner than `dqn` with 1 and 2 buttons. As many random primitives are not shown to do less.")
-
-
-def test_planning_may_do_nothing_or_harm_or_be_unmeasured():
-    told = plan({FLAT: 9_000, EXPLORES: 100}, {FLAT: 50_000})
-    assert told.endswith("is not shown to reach anything sooner than `dqn`.")
-    assert plan({FLAT: 1_000, AHEAD: 9_000}, {FLAT: 50_000}, (2,)).endswith(
-        "reaches its first escape later than `dqn` with 2 buttons.")
-    told = plan({FLAT: 1_000}, {FLAT: 5_000, WAYS_AHEAD: 30_000, STEPS_AHEAD: 40_000}, (1,))
-    assert told.endswith("sooner than `dqn`. As many random primitives in their place bring a greedy policy of half "
-                         "the efficiency later with 1 button.")
-    lines = [line for line in make_lines({FLAT: 9_000}, {FLAT: 50_000}) if line.agent not in (AHEAD, *RANDOM_AHEAD)]
-    assert not tell_planning(STUDY, compare(STUDY, lines))
-
-
-def search(at: dict[int, int | None], seeds: range = range(10)) -> list[SearcherRun]:
-    return [SearcherRun(STUDY.data["searcher"], size, seed, escape) for size, escape in at.items() for seed in seeds]
-
-
-def test_the_searcher_that_learns_nothing_is_told_beside_all_learners():
-    lines = make_lines({FLAT: 9_000, EXPLORES: 10}, {FLAT: 50_000})  # there after some 40 primitives, of 30 needed
-    count = len(OTHERS) + 2
-    assert tell_searcher(STUDY, lines, search({1: 40, 2: 150})) == (
-        "`search-nearest`, which chooses among planned options and learns nothing, first escapes with 1 button "
-        f"after 40 primitives, at an efficiency of 0.75, and {count - 1} of {count} learners later; with 2 buttons "
-        f"after 150 primitives, at an efficiency of 0.20, and {count - 1} of {count} learners later, 1 sooner.")
-    other = [dataclasses.replace(line, searcher="search-backtrack") for line in search({1: 20, 2: 20})]
-    assert not tell_searcher(STUDY, lines, other) and not tell_searcher(STUDY, lines, search({1: 40}))
-    assert not tell_searcher(STUDY, lines, search({1: 40, 2: None})), "it did not escape within the league's budget"
-    few = tell_searcher(STUDY, lines, search({1: 40, 2: 150}, range(3)))
-    assert f"and 0 of {count} learners later" in few, "three rooms show nothing"
-
-
-def test_the_headline_claims_what_the_sentences_below_claim():
-    claimed = []
-    for saved in np.linspace(1.0, 1.7, 15):  # from what cannot be shown to what can
-        lines = make_lines({FLAT: 9_000}, {FLAT: 20_000, AHEAD: 20_000 / saved, EXPLORES: 20_000 / saved})
-        found = compare(STUDY, lines)
-        for pair in (pair for family in list_families(STUDY) for pair in family):
-            told = conclude_prices(lines, [(each.one, each.other, cost) for family in list_families(STUDY)
-                                           if pair in family for each in family for cost in (ESCAPE, HALF)])
-            (said,) = [sentence for sentence in told if sentence.startswith("Until an efficiency of 0.5, ")
-                       and f"`{pair.one}`" in sentence and f"`{pair.other}`" in sentence]
-            gains = find_gains(found, *pair, HALF.name)
-            claimed.append(bool(gains))
-            assert ("times the primitives" in said) == claimed[-1], (pair, said)
-    assert 5 < sum(claimed) < len(claimed) - 5
-
-
-def test_advice_follows_what_each_part_brings():
-    def advise_by(escapes, halves):
-        return advise(STUDY, compare(STUDY, make_lines(escapes, halves)))
-
-    both = advise_by({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000, EXPLORES: 20_000, WHOLE: 1_000})
-    assert both.startswith("Let planned options explore") and both.endswith("what makes it efficient soon.")
-    explored = advise_by({FLAT: 9_000, EXPLORES: 100, WHOLE: 100}, {FLAT: 50_000})
-    assert explored.endswith("That is all that they were shown to give.")
-    assert "exploration by them alone was not" in advise_by({FLAT: 9_000, WHOLE: 100}, {FLAT: 50_000, WHOLE: 1_000})
-    assert advise_by({FLAT: 9_000}, {FLAT: 50_000}).startswith("Planned options were not shown to help")
-    assert advise_by({FLAT: 9_000, AHEAD: 100}, {FLAT: 50_000}).startswith("Let a learner look ahead along planned")
-    assert advise_by({FLAT: 9_000, EXPLORES: 100, AHEAD: 100}, {FLAT: 50_000}).endswith("along them helps, too.")
-    alike = {FLAT: 9_000, AHEAD: 100, WAYS_AHEAD: 100}
-    assert advise_by(alike, {FLAT: 50_000}).startswith("Planned options were not shown to help")
-    assert advise_by(alike | {WHOLE: 100}, {FLAT: 50_000}).endswith("alone was not shown to help.")
-    assert advise_by({FLAT: 9_000, WHOLE: 100, AHEAD: 100}, {FLAT: 50_000}).endswith("Planning along them helps, too.")
-    every = advise_by({FLAT: 9_000, EXPLORES: 1_000, AHEAD: 100, WHOLE: 100}, {FLAT: 50_000})
-    assert every.endswith("that is what makes it efficient soon. Planning along them helps, too.")
-
-
-def test_a_page_of_another_truth_says_another_thing(tmp_path):
-    lines = [line for line in make_lines({FLAT: 9_000_000}, {FLAT: 9_000_000}) if line.agent in OTHERS]
-    page = write_page("why", lines, tmp_path)
-    assert "is not shown to bring the first escape sooner" in page and (tmp_path / "figures/why.svg").exists()
-    assert all(f"| {label} |" in page for label in (*OTHERS, WHOLE))
+def test_questions_are_corrected_as_families():
+    lines = make_lines({FLAT: 9_000}, {FLAT: 20_000, AHEAD: 15_000, EXPLORES: 15_000})
+    found = compare(STUDY, lines)
+    for pair in (pair for family in list_families(STUDY) for pair in family):
+        for ratio in found[pair, "half"]:
+            assert (ratio.middle.low > 1 or ratio.middle.high < 1) == (ratio.middle.p < 0.05)
 
 
 @pytest.fixture(scope="module")
