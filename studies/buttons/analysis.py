@@ -20,6 +20,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.launching.local import get_fork_server
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.config import RoomConfig

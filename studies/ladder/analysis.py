@@ -75,7 +75,8 @@ def describe(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> Findings:
     lines = sorted(lines, key=lambda line: line.place)
     alone = _part([line for line in lines if line.protocol == "per-instance"])
     over = group_runs(alone.get("options", ()))
-    unseen, sequence = (group_runs([line for line in lines if line.protocol == name]) for name in ("generalise", SEQUENCE))
+    unseen, sequence = (group_runs([line for line in lines if line.protocol == name])
+                        for name in ("generalise", SEQUENCE))
     learners = _sort_agents(agent for (_, agent), runs in over.items() if runs[0].primitives)
     score_rungs, scores = _score(over, rungs)
     numbers = SimpleNamespace(

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hrl_escape.agents.hierarchy_kinds import KINDS, WITHOUT_PLANS
-from hrl_escape.agents.registry import find_agent_module
+from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.sets.own_config import find_own_config
 from studies.__main__ import main
