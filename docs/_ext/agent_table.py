@@ -110,7 +110,7 @@ def list_needs(name: str) -> str:
     needs += ["a data set"] if name in list_offline_agents() else []
     needs += ["primitives within options"] if get_agent_class(name).needs_trace else []
     given = list_hierarchical().get(name, "").partition("privileged: ")[2]
-    return ", ".join([*needs, *([given] if given not in ("", "nothing") else [])])
+    return ", ".join([*needs, *([given] if given not in ("", "none") else [])])
 
 
 class Agents(Table):

@@ -146,7 +146,7 @@ def _describe_hierarchical(name: str) -> str:
     source = _parse_agent(name)
     taken = {node.arg for node in ast.walk(source) if isinstance(node, ast.arg)}
     told = [privilege for part, privilege in PRIVILEGES.items() if part in taken]
-    return f"{_summarise(source)}; privileged: {', '.join(told) or 'nothing'}"
+    return f"{_summarise(source)}; privileged: {', '.join(told) or 'none'}"
 
 
 def _parse_agent(name: str) -> ast.Module:
