@@ -24,7 +24,7 @@ from hrl_escape.agents.registry import (
     list_agents,
     list_hierarchy_agents,
     list_offline_agents,
-    list_stream_agents,
+    list_many_env_agents,
     split_name,
 )
 from hrl_escape.agents.spec import AgentSpec
@@ -118,7 +118,7 @@ class Agents(Table):
 
     def write(self) -> str:
         """One row an agent."""
-        many, rows = list_stream_agents(), []
+        many, rows = list_many_env_agents(), []
         for name in dict.fromkeys([*list_agents(), *list_hierarchy_agents(), *list_offline_agents()]):
             page = "offline" if name in list_offline_agents() else name
             rows.append((

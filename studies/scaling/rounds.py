@@ -27,7 +27,7 @@ from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, Shape
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ComparisonError
+from hrl_escape.errors import ComparisonError, ConfigError
 from hrl_escape.files import make_folder, read_toml
 from hrl_escape.names import make_file_name
 from studies.scaling.results import RoomKind, ScalingRun, measure_depth
@@ -147,6 +147,8 @@ def run_round(part: Round, out: Path, primitives: int, workers: int | None = Non
     Raises:
         ComparisonError: a run failed.
     """
+    if workers is not None and workers < 1:
+        raise ConfigError("workers", workers, "at least 1")
     make_folder(out)
     found = []
     with ProcessPoolExecutor(workers, get_fork_server()) as pool:

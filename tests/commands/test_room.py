@@ -79,7 +79,7 @@ def test_fields_presets_and_files_say_which_room(capsys, tmp_path):
 
 
 URDF = """<robot name="boom"><link name="foot"/>
-<link name="boom"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
+<link name="boom"><collision><geometry><mesh filename="{mesh}"/></geometry></collision></link>
 <joint name="lift" type="revolute"><parent link="foot"/><child link="boom"/><axis xyz="0 -1 0"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint><link name="tip"/>
 <joint name="end" type="fixed"><parent link="boom"/><child link="tip"/><origin xyz="0.8 0 0"/></joint></robot>"""
@@ -174,7 +174,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--draw", "room.png", "--camera", "chasse"], "did you mean 'chase'"),
     (["--save", "/proc/nowhere/room.json"], "cannot write"),
     (["--set", "obstacles.count=200", "obstacles.size_min=8", "obstacles.size_max=9"], "no solvable room"),
-    (["--room", "nowhere.toml(size=4)"], "arguments in parentheses are those of presets"),
+    (["--room", "nowhere.toml(size=4)"], "only presets take arguments in parentheses"),
 ])
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)

@@ -16,6 +16,7 @@ from PIL import Image
 from hrl_escape.cli import main
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from studies.publishing import list_pages
 from studies.running import get_args
 from studies.study import find_study
 from tests.docs.blocks import PAGES, ROOT, Block, parse, parse_options, read_blocks, read_commands
@@ -79,6 +80,8 @@ def run(block: Block, words: list[str]) -> None:
         assert all(re.search(rf"^{extra} = \[", listed, re.M) for part in extras for extra in part.split(",")), words
     elif words[:2] == ["python", "-m"] and arguments[1].startswith("benchmarks."):
         parse_options(arguments[1], arguments[2:])
+    elif words[:4] == ["python", "-m", "studies", "pages"]:
+        assert set(arguments[3:]) <= set(list_pages()), words
     elif words[:3] == ["python", "-m", "studies"]:
         tyro.cli(get_args(find_study(arguments[2])), args=arguments[3:], config=(tyro.conf.FlagCreatePairsOff,))
     elif program in ("python", "pytest", "sphinx-build"):  # scripts have tests of their own

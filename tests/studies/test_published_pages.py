@@ -40,9 +40,9 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(p
     assert "docs/results/figures/reach.svg" in readme and "docs/results/figures/reach-dark.svg" in readme
     assert "does not escape from any room with 15 buttons" in readme
     assert count_escapes(runs, "learned walks + structure")[15][0] == 0
-    assert "Where a wrong press does nothing, the search baseline escapes with twenty buttons, too." in readme
+    assert "Where a wrong press has no effect, it escapes with twenty buttons, too." in readme
     assert all(run.first_escape for run in runs if (run.cell, run.rule, run.buttons) == (BASELINE, "ignore", 20))
-    assert f"within {study.data['budget']:,} primitives" in readme and "5 to 30 runs a point" in readme
+    assert f"within {study.data['budget']:,} primitives" in readme and "5 to 30 runs per point" in readme
     counts = [count_escapes(runs, cell) for cell in (FULL, "options + memory", "options", "flat", BASELINE)]
     sizes = [made for own in counts for _, made in own.values()]
     assert (min(sizes), max(sizes)) == (5, 30)
