@@ -82,7 +82,7 @@ def check_urdf(path: Path) -> dict[str, Any]:
     config = make_config(path)
     robot = make_robot(config)
     found = {"joints": len(robot.joint_names), "error": compare_with_pinocchio(robot, load_urdf(path))}
-    post = Solid("cylinder", 1.2, 0.0, 0.05, 0.05, height=1.5)
+    post = Solid("cylinder", 0.8, 0.8, 0.05, 0.05, height=1.5)
     world = World.of([post], config, (0.0, 0.0, 0.0), floor=(-4.0, 4.0, -4.0, 4.0))
     arm, start = ArmPlanner(world.instance), world.make_state(0.0, 0.0)
     rng, (low, high) = np.random.default_rng(1), np.array(robot.limits).T

@@ -87,4 +87,17 @@ MUTATIONS = [
     Mutation("a rectangle turns anywhere", "floor/clearance.py::CollisionMap.is_turn_free",
              "return cell >= 0 and self.base.can_turn(x, y, rotation, to, turn, self._list_near(cell))", "return True",
              "planning/motion/test_drives.py::test_a_turn_is_free_where_the_base_meets_nothing_at_any_angle_of_it"),
+    Mutation("a flat mesh keeps no thickness", "planning/arm/shapes.py::_thicken",
+             "if np.ptp(centred @ axis) < THINNEST:", "if False:",
+             "planning/arm/test_shapes.py::test_meshes_without_volume_meet_what_they_touch"),
+    Mutation("links that nothing moves against each other are tested", "planning/arm/model.py::ArmCollisions._is_rigid",
+             "return above[0] == above[1]", "return False",
+             "planning/arm/test_arm_planner.py::"
+             "test_links_that_no_planned_joint_moves_against_each_other_do_not_block_plans"),
+    Mutation("a motion is certified farther than distances allow", "planning/arm/model.py::ArmCollisions._advance",
+             "motion = pairs.speeds @ change", "motion = 0.1 * pairs.speeds @ change",
+             "planning/arm/test_arm_planner.py::test_a_path_keeps_half_its_clearance_by_bullet"),
+    Mutation("a continuous joint takes the long way round", "planning/arm/arm_planner.py::ArmPlanner._list_turns",
+             "start[-joints:] + self._subtract(goals[:, -joints:], start[-joints:])", "goals[:, -joints:]",
+             "planning/arm/test_arm_planner.py::test_a_continuous_joint_takes_the_short_way_round"),
 ]
