@@ -261,6 +261,10 @@ class ArmCollisions:
         """Return the same test with other margins, m, of some pairs."""
         return self._remake(self._solids, margins=margins)
 
+    def with_margin(self, margin: float) -> ArmCollisions:
+        """Return the same test with one other margin, m, of all pairs; shapes of links are shared."""
+        return self._remake(self._solids, margin=margin)
+
     def _make_data(self) -> Any:
         """Results of collision tests, with the margins in their requests."""
         data = self._geometry.createData()
