@@ -377,6 +377,21 @@ def test_a_path_keeps_half_its_clearance_by_bullet():
     assert len(least) >= 6 and bent >= 3 and near >= 1 and min(least) < 2 * CLEARANCE
 
 
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (1.0, 0.3, 0.0)])
+@pytest.mark.parametrize("along", [0.66, 1.3, 1.7])
+def test_a_joint_that_slides_does_not_pass_through_a_thin_post(axis, along):
+    """Pinocchio has models of their own for slides along an axis of the frame."""
+    text = make_arm('<box size="0.02 0.02 0.02"/>', kind="prismatic", place='xyz="0 0 0"',
+                    limit='<limit lower="0" upper="2" effort="1" velocity="1"/>')
+    text = text.replace('<axis xyz="0 0 1"/>', '<axis xyz="{} {} {}"/>'.format(*axis))
+    x, y, _ = along * np.array(axis) / np.linalg.norm(axis)
+    planner, state = place_arm(text, [Solid("box", x, y, 0.005, 0.005, height=2.0)])
+    with pytest.raises(PlanningFailed) as failed:
+        planner.plan(state, [2.0], budget=1_000)
+    assert failed.value.reason is PlanningReason.BUDGET_EXHAUSTED
+    assert planner.plan(state, [along - 0.1]).points[-1] == pytest.approx([along - 0.1])
+
+
 # --- continuous joints -----------------------------------------------------------------------------
 
 TURNING = make_arm(kind="continuous", limit='<limit effort="10" velocity="1"/>')
