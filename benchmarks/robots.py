@@ -8,18 +8,20 @@ The folder of `example-robot-data` (125 MB) is a good start: `pip download --no-
 
 from __future__ import annotations
 
-import argparse
 import collections
+import dataclasses
 import json
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from xml.etree import ElementTree
 
 import numpy as np
+import tyro
 
+from hrl_escape.cli import run_script
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.urdf import load_urdf
@@ -82,7 +84,7 @@ def check_urdf(path: Path) -> dict[str, Any]:
     config = make_config(path)
     robot = make_robot(config)
     found = {"joints": len(robot.joint_names), "error": compare_with_pinocchio(robot, load_urdf(path))}
-    post = Solid("cylinder", 1.2, 0.0, 0.05, 0.05, height=1.5)
+    post = Solid("cylinder", 0.8, 0.8, 0.05, 0.05, height=1.5)
     world = World.of([post], config, (0.0, 0.0, 0.0), floor=(-4.0, 4.0, -4.0, 4.0))
     arm, start = ArmPlanner(world.instance), world.make_state(0.0, 0.0)
     rng, (low, high) = np.random.default_rng(1), np.array(robot.limits).T
@@ -130,15 +132,21 @@ def check(path: Path, folder: Path) -> dict[str, Any]:
         return {"raw error": f"{type(error).__name__}: {error}"[:160]}
 
 
-def main() -> None:
-    """Print the table, and how many files crashed or ended in a raw error."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--one", type=Path, help="check only this file, and print JSON")
-    args = parser.parse_args()
+@dataclasses.dataclass
+class Args:
+    """What to check."""
+
+    folder: Annotated[Path, tyro.conf.Positional]
+    """With URDF, SRDF and YAML files in it or below it."""
+    one: Path | None = None
+    """Check only this file, in this process, and print JSON."""
+
+
+def run(args: Args) -> int:
+    """Print the table, and how many files crashed or ended in a raw error; 1 if any did."""
     if args.one:
         print(json.dumps(check(args.one, args.folder)))
-        return
+        return 0
     files = sorted(path for kind in ("*.urdf", "*.srdf", "*.yaml") for path in args.folder.rglob(kind))
     counts = collections.Counter[str]()
     for path in files:
@@ -152,8 +160,8 @@ def main() -> None:
         counts[next((key for key in ("crash", "raw error", "refused") if key in found), "read")] += 1
         print(f"{path.relative_to(args.folder)}: {found}", flush=True)
     print(dict(counts))
-    sys.exit(1 if counts["crash"] or counts["raw error"] else 0)
+    return 1 if counts["crash"] or counts["raw error"] else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_script(run))

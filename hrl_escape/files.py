@@ -267,7 +267,7 @@ def temporary_folder() -> Iterator[Path]:
     try:
         with tempfile.TemporaryDirectory(prefix="hrl_escape-") as folder:
             yield Path(folder)
-    except FileWriteError:
+    except (FileReadError, FileWriteError):
         raise
     except OSError as error:
         raise FileWriteError(describe_write_failure("the folder of temporary files (TMPDIR)", error)) from error

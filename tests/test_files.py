@@ -278,3 +278,6 @@ def test_a_temporary_folder_is_gone_after_the_block_and_an_error_of_ours_keeps_i
         (folder / "x").write_text("x")
         raise FileWriteError("the video")
     assert not folder.exists()
+    with pytest.raises(FileReadError, match="^the mesh$"), temporary_folder() as folder:
+        raise FileReadError("the mesh")
+    assert not folder.exists()

@@ -32,9 +32,9 @@ def load_urdf(path: str | Path, package_paths: PackagePaths = ()) -> str:
     """Read a user's arm for `RobotConfig(kind="urdf", urdf=...)`, with absolute paths of its meshes.
 
     A mesh `package://NAME/...` is looked for in `package_paths`, then in the folders above the URDF that are named
-    NAME or have a `package.xml` that names it, then in the folders next to those, and last in `ROS_PACKAGE_PATH` and
-    `AMENT_PREFIX_PATH`. A visual mesh that is missing, or of a format that cannot be drawn, is left out: its link is
-    drawn by its collision shapes.
+    NAME or have a `package.xml` that names it, then in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`, and last in the
+    folders next to those above the URDF. A visual mesh that is missing, or of a format that cannot be drawn, is left
+    out: its link is drawn by its collision shapes.
 
     Args:
         path: the URDF file, in the encoding that it declares.
@@ -144,12 +144,12 @@ class _MeshFinder:
             yield folder / name
             if folder.name == name or _read_package_name(folder) == name:
                 yield folder
-        for folder in self._folders[:4]:
-            yield from _find_packages(folder, name, depth=2)
         for folder in filter(None, os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)):
             yield from _find_packages(Path(folder), name)
         for folder in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
             yield Path(folder) / "share" / name
+        for folder in self._folders[:4]:
+            yield from _find_packages(folder, name, depth=2)
 
 
 def _find_packages(folder: Path, name: str, depth: int = 3) -> Iterator[Path]:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,8 +16,13 @@ from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, check_room
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
-from hrl_escape.errors import ConfigError
+from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.planning import ros
+from hrl_escape.planning.goals import PoseGoal
 from hrl_escape.planning.occupancy_grid import read_occupancy_grid
+
+if TYPE_CHECKING:  # loads OMPL and Ruckig
+    from hrl_escape.planning.motion.trajectory import TimedTrajectory
 
 MOST_MESH_CELLS = 5_000_000
 """Cells that a mesh may take, of its floor or of its faces."""
@@ -46,7 +51,8 @@ class World:
     """A floor with solids and one robot; nothing is to be pressed.
 
     `instance` goes to `RoomPlanner`, `ArmPlanner`, `Scene` and environments. Its frame has the floor's centre as
-    origin; `to_room` and `to_map` lead from your own frame and back.
+    origin; `to_room` and `to_map` lead from your own frame and back. `goal` takes places of your frame, and `to_ros`,
+    `to_path` and `to_pose` return messages of ROS in it.
 
     Attributes:
         instance: the room.
@@ -197,6 +203,37 @@ class World:
                   for angle, turns in zip(angles, rules.robot.continuous, strict=True)]
         joint_steps, joint_offsets = rules.split_angles(turned)
         return state._replace(joint_steps=joint_steps, joint_offsets=joint_offsets)
+
+    def goal(self, x: float, y: float, heading: float | None = None, *, tolerance: float = 0.5) -> PoseGoal:
+        """Return a goal for `RoomPlanner.plan` at a place of your frame, m, with a heading, rad, or any.
+
+        `tolerance` is the largest distance from the place, m.
+        """
+        x, y = self.to_room([x, y]).tolist()
+        return PoseGoal(x, y, heading, tolerance=tolerance)
+
+    def to_ros(self, trajectory: TimedTrajectory, rate: float = 50.0, *, frame: str = "map") -> dict[str, Any]:
+        """Return the fields of a `moveit_msgs/RobotTrajectory` in your frame; see `TimedTrajectory.to_ros`."""
+        return trajectory.to_ros(rate, frame=frame, offset=self.centre)
+
+    def to_path(self, trajectory: TimedTrajectory, rate: float = 10.0, *, frame: str = "map") -> dict[str, Any]:
+        """Return the fields of a `nav_msgs/Path`: poses of the base in your frame, stamped with times from the start.
+
+        Raises:
+            UnsupportedError: the trajectory has no base, as that of an arm.
+        """
+        if trajectory.names[:1] != ("x",):
+            raise UnsupportedError("a Path needs places of the base, and this trajectory moves the arm alone: to_ros "
+                                   "gives its joints")
+        times, positions, _ = trajectory.sample(rate)
+        rows = zip(times.tolist(), self.to_map(positions[:, :3]).tolist(), strict=True)
+        return {"header": ros.make_header(frame),
+                "poses": [ros.make_pose_stamped(x, y, heading, frame, time) for time, (x, y, heading) in rows]}
+
+    def to_pose(self, state: RoomState, *, frame: str = "map") -> dict[str, Any]:
+        """Return the fields of a `geometry_msgs/PoseStamped`: the base at a state, in your frame."""
+        x, y = self.to_map([state.x, state.y]).tolist()
+        return ros.make_pose_stamped(x, y, Kinematics(self.instance).get_heading(state), frame)
 
     def to_room(self, points: ArrayLike) -> NDArray[np.float64]:
         """Points (..., 2 or more) of your frame in the room's; what follows x and y stays."""

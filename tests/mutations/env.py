@@ -82,4 +82,7 @@ MUTATIONS = [
     Mutation("a limit of steps does not reach a batch", "env/batched/engine.py::TensorRoom.__init__",
              "self.tables.horizons.clamp(max=most_steps)", "self.tables.horizons",
              "env/test_gymnasium_manners.py::test_a_limit_of_steps_means_the_same_for_many_rooms_as_for_one"),
+    Mutation("a joint follows another without its offset", "env/robot.py::Robot.compute_values",
+             "{name: factor * angles[i] + offset for", "{name: factor * angles[i] for",
+             "env/test_urdf.py::test_hand_and_jacobian_of_an_arm_with_mimic_joints_are_those_of_pinocchio"),
 ]

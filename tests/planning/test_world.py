@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 
 import numpy as np
@@ -17,7 +18,7 @@ from hrl_escape.env.pictures.maps import draw_room, save_map
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.urdf import LARGEST_VISUAL
-from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.errors import ConfigError, FileReadError, UnsupportedError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.goals import PoseGoal
 from hrl_escape.planning.motion.trajectory import make_trajectory
@@ -56,7 +57,7 @@ def test_rectangles_cover_exactly_the_occupied_cells():
 def test_a_map_of_ros_is_planned_in_its_own_frame(tmp_path):
     world = World.read(write_map(tmp_path), ROBOT, (-1.0, 4.0, 0.5))
     start = world.make_state(-1.0, 4.0, 0.5)
-    goal = PoseGoal(*world.to_room([5.0, 4.0]).tolist(), tolerance=0.2)
+    goal = world.goal(5.0, 4.0, tolerance=0.2)
     trajectory = make_trajectory(RoomPlanner(world.instance).plan(start, goal))
     places = world.to_map(trajectory.sample(50)[1])
     assert places[0] == pytest.approx([-1.0, 4.0, 0.5]) and np.hypot(*(places[-1, :2] - (5.0, 4.0))) <= 0.2
@@ -220,3 +221,48 @@ def test_impossible_worlds_are_refused(tmp_path):
             World.read(write_map(tmp_path), ROBOT, start)
     with pytest.raises(ConfigError, match="floor"):
         World.of([], ROBOT, (0.0, 0.0, 0.0), floor=(1.0, 0.0, 0.0, 1.0))
+
+
+def test_goals_and_messages_of_ros_are_in_the_frame_of_the_map():
+    """The floor's centre is at (2, 6)."""
+    world = World.of([], ROBOT, (-1.0, 4.0, 0.5), floor=(-3.0, 7.0, 2.0, 10.0))
+    goal = world.goal(5.0, 7.0, 1.0, tolerance=0.2)
+    assert goal == PoseGoal(3.0, 1.0, 1.0, tolerance=0.2) and world.goal(5.0, 7.0).heading is None
+    plan = RoomPlanner(world.instance).plan(world.make_state(-1.0, 4.0, 0.5), goal)
+    trajectory = make_trajectory(plan)
+    times, positions, velocities = trajectory.sample(10)
+    message, path = world.to_ros(trajectory, 10), world.to_path(trajectory)
+    base = message["multi_dof_joint_trajectory"]
+    assert base["header"]["frame_id"] == path["header"]["frame_id"] == "map"
+    assert len(base["points"]) == len(path["poses"]) == len(times) > 10
+    for time, (x, y, heading), rates, point, stamped in zip(
+            times, positions, velocities, base["points"], path["poses"], strict=True):
+        transform, pose = point["transforms"][0], stamped["pose"]
+        assert pose["position"] == transform["translation"]
+        assert (pose["position"]["x"], pose["position"]["y"]) == pytest.approx((x + 2.0, y + 6.0))
+        turn = pose["orientation"]
+        assert turn == transform["rotation"]
+        assert np.remainder(2 * np.arctan2(turn["z"], turn["w"]) - heading + 1.0, np.pi * 2) == pytest.approx(1.0)
+        assert point["velocities"][0]["linear"]["x"] == pytest.approx(rates[0])
+        stamp = stamped["header"]["stamp"]
+        assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(time)
+        assert stamped["header"]["frame_id"] == "map"
+    end = world.to_pose(plan.states[-1], frame="odom")
+    assert end["header"]["frame_id"] == "odom"
+    at = end["pose"]["position"]
+    assert np.hypot(at["x"] - 5.0, at["y"] - 7.0) <= 0.2
+    assert json.loads(json.dumps([message, path, end])) == [message, path, end]
+    room = trajectory.to_ros(10)["multi_dof_joint_trajectory"]
+    assert room["header"]["frame_id"] == "room"
+    assert room["points"][0]["transforms"][0]["translation"] == {"x": -3.0, "y": -2.0, "z": 0.0}
+
+
+def test_a_trajectory_of_an_arm_has_joints_in_any_frame_and_no_path():
+    robot = RobotConfig(kind="arm", joints=2, body_radius=0.3)
+    world = World.of([], robot, (0.0, 0.0, 0.0), floor=(-3.0, 7.0, -3.0, 10.0))
+    trajectory = make_trajectory(ArmPlanner(world.instance).plan(world.make_state(0.0, 0.0), (0.3, 0.2)))
+    joints = world.to_ros(trajectory)["joint_trajectory"]
+    assert joints["header"]["frame_id"] == "map" and joints["joint_names"] == ["joint-1", "joint-2"]
+    assert joints["points"][-1]["positions"] == pytest.approx([0.3, 0.2])
+    with pytest.raises(UnsupportedError, match="moves the arm alone"):
+        world.to_path(trajectory)

@@ -105,10 +105,14 @@ class ArmPlanner:
         low, high = np.array(self.rules.robot.limits).T
         return low, high
 
+    @cached_property
+    def _touching(self) -> ArmCollisions:
+        return ArmCollisions(self.rules.robot, self.instance.robot.hand_radius, self.instance.all_solids,
+                             srdf=self._srdf)
+
     def _get_collisions(self, margin: float) -> ArmCollisions:
         if margin not in self._collisions:
-            self._collisions[margin] = ArmCollisions(self.rules.robot, self.instance.robot.hand_radius,
-                                                     self.instance.all_solids, margin, self._srdf)
+            self._collisions[margin] = self._touching.with_margin(margin)
         return self._collisions[margin]
 
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:

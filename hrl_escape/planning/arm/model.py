@@ -34,6 +34,7 @@ from hrl_escape.planning.arm.shapes import make_shape  # needs coal
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
+_SLIDES = {"JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned"}
 TOUCHING = 1e-3
 """Links that are nearer than this at home may touch, m: hulls are larger than the links."""
 FEW_SOLIDS, MOST_TILES = 64, 256
@@ -261,6 +262,10 @@ class ArmCollisions:
         """Return the same test with other margins, m, of some pairs."""
         return self._remake(self._solids, margins=margins)
 
+    def with_margin(self, margin: float) -> ArmCollisions:
+        """Return the same test with one other margin, m, of all pairs; shapes of links are shared."""
+        return self._remake(self._solids, margin=margin)
+
     def _make_data(self) -> Any:
         """Results of collision tests, with the margins in their requests."""
         data = self._geometry.createData()
@@ -477,7 +482,7 @@ class ArmCollisions:
         reach = float(np.linalg.norm(item.placement.act(item.geometry.aabb_center))) + item.geometry.aabb_radius
         joint = item.parentJoint
         while joint > 0:
-            slides = "P" in model.joints[joint].shortname()[-2:]
+            slides = model.joints[joint].shortname() in _SLIDES
             reaches[joint] = 1.0 if slides else reach
             reach += float(np.linalg.norm(model.jointPlacements[joint].translation))
             if slides:

@@ -24,6 +24,7 @@ from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.velocities import list_levels
 from hrl_escape.errors import ConfigError, EscapeError
 from hrl_escape.files import write_json, write_text
+from hrl_escape.planning import ros
 from hrl_escape.planning.motion.legs import Contact, Grip, Press, time_legs, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.paths.problem import MotionPath
@@ -86,22 +87,29 @@ class TimedTrajectory:
                 "contacts": [contact._asdict() for contact in self.contacts],
                 "grips": [grip._asdict() for grip in self.grips]}
 
-    def to_ros(self, rate: float = 50.0) -> dict[str, Any]:
+    def to_ros(self, rate: float = 50.0, *, frame: str = "room",
+               offset: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
         """Return the fields of a ROS `moveit_msgs/RobotTrajectory`, sampled at a rate in Hz.
 
         Joints are its `joint_trajectory`. The base is the planar joint `base` of its `multi_dof_joint_trajectory`, with
-        velocities and accelerations along the room's axes. A part without motion has no points.
+        velocities and accelerations along the axes of the frame. A part without motion has no points.
+
+        Args:
+            rate: samples a second.
+            frame: name of the frame, the `frame_id`.
+            offset: x and y of the room's origin in that frame, m. `World.to_ros` gives that of a map.
         """
         times, positions, velocities = self.sample(rate)
+        first = 3 if self.names[:1] == ("x",) else 0
+        positions[:, :2] += offset if first else 0.0
         rows = list(zip(times.tolist(), positions.tolist(), velocities.tolist(),
                         self.evaluate(times, 2).tolist(), strict=True))
-        header, first = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": "room"}, 3 if self.names[:1] == ("x",) else 0
+        header = ros.make_header(frame)
         joints = [{"positions": p[first:], "velocities": v[first:], "accelerations": a[first:],
-                   "time_from_start": _make_time(t)} for t, p, v, a in rows if self.names[first:]]
-        base = [{"transforms": [{"translation": {"x": p[0], "y": p[1], "z": 0.0},
-                                 "rotation": {"x": 0.0, "y": 0.0, "z": math.sin(p[2] / 2), "w": math.cos(p[2] / 2)}}],
-                 "velocities": [_make_twist(v)], "accelerations": [_make_twist(a)], "time_from_start": _make_time(t)}
-                for t, p, v, a in rows if first]
+                   "time_from_start": ros.make_time(t)} for t, p, v, a in rows if self.names[first:]]
+        base = [{"transforms": [{"translation": ros.make_point(*p[:2]), "rotation": ros.make_quaternion(p[2])}],
+                 "velocities": [ros.make_twist(v)], "accelerations": [ros.make_twist(a)],
+                 "time_from_start": ros.make_time(t)} for t, p, v, a in rows if first]
         return {"joint_trajectory": {"header": header, "joint_names": list(self.names[first:]), "points": joints},
                 "multi_dof_joint_trajectory": {"header": header, "joint_names": ["base"] if first else [],
                                                "points": base}}
@@ -262,17 +270,6 @@ def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[n
                 knots[number][:, column] += round((last - float(part[0, column])) / math.tau) * math.tau
                 last = float(knots[number][-1, column])
     return np.concatenate(knots)
-
-
-def _make_time(seconds: float) -> dict[str, int]:
-    """Return a ROS `builtin_interfaces/Duration`."""
-    whole, rest = divmod(round(seconds * 1e9), 10**9)
-    return {"sec": whole, "nanosec": rest}
-
-
-def _make_twist(rates: Sequence[float]) -> dict[str, dict[str, float]]:
-    """Return a ROS `geometry_msgs/Twist` of rates along x and y and about z."""
-    return {"linear": {"x": rates[0], "y": rates[1], "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": rates[2]}}
 
 
 # --- driving ---------------------------------------------------------------------------

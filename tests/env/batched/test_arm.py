@@ -16,6 +16,8 @@ SLIDE = """<robot name="slide"><link name="foot"/><link name="tray"/><link name=
 <joint name="spin" type="continuous"><parent link="tray"/><child link="tip"/><origin xyz="0 0.3 0" rpy="0 0.5 1"/>
 <axis xyz="1 2 3"/></joint></robot>"""
 ARMS += [RobotConfig(kind="urdf", urdf=SLIDE, joints=joints) for joints in (1, 2)]
+FOLLOWING = SLIDE.replace('xyz="1 2 3"/>', 'xyz="1 2 3"/><mimic joint="lift" multiplier="-2" offset="0.3"/>')
+ARMS.append(RobotConfig(kind="urdf", urdf=FOLLOWING, joints=1))
 
 
 @pytest.mark.parametrize("config", ARMS, ids=lambda config: f"{config.kind}-{config.joints}")

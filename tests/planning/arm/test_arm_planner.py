@@ -16,9 +16,11 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.planning.arm.arm_planner import ArmPlanner
+from hrl_escape.planning.arm.arm_planner import CLEARANCE, ArmPlanner
 from hrl_escape.planning.arm.model import FEW_SOLIDS, ArmCollisions
+from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.scene import Scene
+from tests.planning.arm.robots import make_arm, place_arm
 
 # --- inverse kinematics ------------------------------------------------------------------------
 
@@ -287,3 +289,148 @@ def test_among_many_solids_the_near_ones_are_tested_and_the_answer_is_that_of_al
         assert free[-1] == (not tests.list_collisions(x, y, heading, angles))
     assert 0.05 < np.mean(free) < 0.95
     assert bool(tests._near) == (solids > FEW_SOLIDS)
+
+
+# --- clearance of every pair -----------------------------------------------------------------------
+
+FINGERS = """<link name="f1"><collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
+<joint name="g1" type="{0}"><parent link="boom"/><child link="f1"/><origin xyz="0.62 0 0"/><axis xyz="0 0 1"/>
+  <limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>
+<link name="f2"/><joint name="g2" type="{0}"><parent link="f1"/><child link="f2"/><origin xyz="0.02 0 0"/>
+  <axis xyz="0 0 1"/><limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>
+<link name="f3"><collision><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
+<joint name="g3" type="{0}"><parent link="f2"/><child link="f3"/><origin xyz="{1} 0 0"/><axis xyz="0 0 1"/>
+  <limit lower="0" upper="0.1" effort="1" velocity="1"/></joint>"""
+
+
+@pytest.mark.parametrize("kind", ["revolute", "fixed"])
+@pytest.mark.parametrize("gap", [-0.01, 0.0005, 0.005])
+def test_links_that_no_planned_joint_moves_against_each_other_do_not_block_plans(kind, gap):
+    """Nor do they with an SRDF that leaves their pair out."""
+    planner, state = place_arm(make_arm(rest=FINGERS.format(kind, gap)))
+    srdf = '<robot name="r"><disable_collisions link1="foot" link2="boom"/></robot>'
+    for each in (planner, ArmPlanner(planner.instance, srdf=srdf)):
+        assert each.is_free(state, [0.0]) and each.is_free(state, [0.9])
+        path = each.plan(state, [0.9])
+        assert len(path.points) == 2 and path.points[-1] == pytest.approx([0.9])
+
+
+def test_a_start_or_goal_nearer_than_a_millimetre_is_refused_with_the_pair():
+    """The boom ends half a millimetre before a box."""
+    planner, state = place_arm(make_arm(), [Solid("box", 0.7005, 0.0, 0.1, 0.1, height=1.5)])
+    assert planner.is_free(state, [0.0]) and not planner.is_free(state, [0.0], margin=0.001)
+    aside = place_at(state, planner, [0.9])
+    for begin, goal, reason in ((state, 0.9, PlanningReason.START_INVALID), (aside, 0.0, PlanningReason.GOAL_INVALID)):
+        with pytest.raises(PlanningFailed) as failed:
+            planner.plan(begin, [goal])
+        assert failed.value.reason is reason
+        assert failed.value.nearest == "nearer than 1 mm: boom to obstacle at (0.7005, 0)"
+        assert failed.value.nearest in str(failed.value)
+
+
+def place_at(state, planner, angles):
+    """The state with the arm at angles, rad."""
+    steps, offsets = planner.rules.split_angles(angles)
+    return state._replace(joint_steps=steps, joint_offsets=offsets)
+
+
+def measure_along(planner, state, path, step=0.002):
+    """Least distance to a solid or between links by Bullet: at the start, at the end and along the path, m."""
+    check = BulletCheck(planner)
+    away = []
+    for angles in path.interpolate(step).tolist():
+        check.place(state.x, state.y, planner.rules.get_heading(state), angles)
+        away.append(check.compute_clearance())
+    check.close()
+    return away[0], away[-1], min(away)
+
+
+THREE_JOINTS = """<link name="fore"><collision><origin xyz="0.2 0 0"/><geometry><box size="0.3 0.04 0.04"/></geometry>
+</collision></link><joint name="elbow" type="revolute"><parent link="boom"/><child link="fore"/>
+<origin xyz="0.6 0 0"/><axis xyz="0 0 1"/><limit lower="-2.5" upper="2.5" effort="10" velocity="1"/></joint>
+<link name="tip"><collision><origin xyz="0.1 0 0"/><geometry><box size="0.1 0.03 0.03"/></geometry></collision></link>
+<joint name="wrist" type="revolute"><parent link="fore"/><child link="tip"/><origin xyz="0.38 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-1.5" upper="1.5" effort="10" velocity="1"/></joint>"""
+
+
+def test_a_path_keeps_half_its_clearance_by_bullet():
+    """From solids and the floor; where start or goal is nearer, nine tenths of that distance count."""
+    urdf = make_arm(rest=THREE_JOINTS, limit='<limit lower="-3" upper="3" effort="10" velocity="1"/>')
+    posts = [Solid("cylinder", 0.75 * math.cos(angle), 0.75 * math.sin(angle), 0.04, 0.04, height=height)
+             for angle, height in ((0.5, 1.2), (-0.6, 0.9), (1.6, 2.0))]
+    planner, state = place_arm(urdf, posts, hand="tip", joints=3)
+    rng, (low, high) = np.random.default_rng(3), np.array(planner.rules.robot.limits).T
+    bent, near, least = 0, 0, []
+    free = (each for each in rng.uniform(low, high, (2000, 3)) if planner.is_free(state, each.tolist(), 0.0015))
+    for number in range(8):
+        begin, goal = next(free), next(free)
+        try:
+            path = planner.plan(place_at(state, planner, begin.tolist()), goal, seed=number)
+        except PlanningFailed as failed:
+            assert failed.reason is PlanningReason.BUDGET_EXHAUSTED
+            continue
+        first, last, along = measure_along(planner, state, path)
+        documented = min(CLEARANCE, 0.9 * first, 0.9 * last) / 2
+        assert along >= documented - 1e-5
+        bent, near = bent + (len(path.points) > 2), near + (min(first, last) < CLEARANCE)
+        least.append(along)
+    assert len(least) >= 6 and bent >= 3 and near >= 1 and min(least) < 2 * CLEARANCE
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (1.0, 0.3, 0.0)])
+@pytest.mark.parametrize("along", [0.66, 1.3, 1.7])
+def test_a_joint_that_slides_does_not_pass_through_a_thin_post(axis, along):
+    """Pinocchio has models of their own for slides along an axis of the frame."""
+    text = make_arm('<box size="0.02 0.02 0.02"/>', kind="prismatic", place='xyz="0 0 0"',
+                    limit='<limit lower="0" upper="2" effort="1" velocity="1"/>')
+    text = text.replace('<axis xyz="0 0 1"/>', '<axis xyz="{} {} {}"/>'.format(*axis))
+    x, y, _ = along * np.array(axis) / np.linalg.norm(axis)
+    planner, state = place_arm(text, [Solid("box", x, y, 0.005, 0.005, height=2.0)])
+    with pytest.raises(PlanningFailed) as failed:
+        planner.plan(state, [2.0], budget=1_000)
+    assert failed.value.reason is PlanningReason.BUDGET_EXHAUSTED
+    assert planner.plan(state, [along - 0.1]).points[-1] == pytest.approx([along - 0.1])
+
+
+# --- continuous joints -----------------------------------------------------------------------------
+
+TURNING = make_arm(kind="continuous", limit='<limit effort="10" velocity="1"/>')
+
+
+def test_a_continuous_joint_takes_the_short_way_round():
+    planner, state = place_arm(TURNING, angles=[math.radians(170)])
+    for goal in (-170, 190, 550):
+        path = planner.plan(state, [math.radians(goal)])
+        assert np.degrees(path.points[:, 0]) == pytest.approx([170, 190])
+    times, positions, _ = make_trajectory(path).sample(100)
+    assert np.degrees(positions[:, 0]).max() == pytest.approx(190) and np.degrees(positions[:, 0]).min() > 169.9
+    limited, state = place_arm(make_arm(limit='<limit lower="-3.1" upper="3.1" effort="10" velocity="1"/>'),
+                               angles=[math.radians(170)])
+    assert np.degrees(limited.plan(state, [math.radians(-170)]).points[:, 0]) == pytest.approx([170, -170])
+
+
+def test_a_continuous_joint_goes_the_other_way_round_an_obstacle():
+    planner, state = place_arm(TURNING, [Solid("box", -0.5, 0.0, 0.05, 0.03, height=1.5)], angles=[math.radians(160)])
+    path = planner.plan(state, [math.radians(-160)])
+    swept = np.degrees(path.points[:, 0])
+    assert swept[0] == pytest.approx(160) and swept[-1] == pytest.approx(-160)
+    first, last, along = measure_along(planner, state, path)
+    assert along >= min(CLEARANCE, 0.9 * first, 0.9 * last) / 2 - 1e-5
+    both = [Solid("box", side * 0.5, 0.0, 0.05, 0.03, height=1.5) for side in (-1, 1)]
+    planner, state = place_arm(TURNING, both, angles=[math.radians(90)])
+    with pytest.raises(PlanningFailed):
+        planner.plan(state, [math.radians(-90)], budget=2_000)
+
+
+def test_inverse_kinematics_of_a_continuous_joint_finds_one_posture_whatever_turn_it_begins_in():
+    tip = """<link name="tip"/><joint name="wrist" type="fixed"><parent link="boom"/><child link="tip"/>
+    <origin xyz="0.6 0 0"/></joint>"""
+    urdf = make_arm(kind="continuous", limit="", rest=tip)
+    for begin in (-3.0, 0.0, 3.1):
+        planner, state = place_arm(urdf, hand="tip", angles=[begin])
+        for wanted in (3.0, -3.0, math.pi):
+            target = (0.6 * math.cos(wanted), 0.6 * math.sin(wanted), 0.7)
+            found = planner.solve_ik(target, state)
+            assert len(found) == 1 and found[0].margin == math.pi
+            assert math.remainder(found[0].angles[0] - wanted, math.tau) == pytest.approx(0.0, abs=1e-3)
+            assert abs(planner.plan(state, found[0].angles).points[-1, 0] - begin) <= math.pi + 1e-6
