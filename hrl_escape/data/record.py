@@ -256,7 +256,7 @@ class HalfWay(Stateful):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Rule by which the run ends, part of its key."""
+        """Rule that ends the run, part of its key."""
         return {"until": "half efficiency", "fewest": self._fewest}
 
     def after_decision(self, agent: Agent, primitives: int) -> None:
