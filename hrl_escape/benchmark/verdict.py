@@ -278,7 +278,7 @@ def _write_cautions(summary: Summary) -> list[str]:
         cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
     if grid.runs < LEAST_RUNS:
         cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: with `--runs {LEAST_RUNS}` the same "
-                        "command goes on from these, to a verdict.")
+                        "command continues these runs, to a verdict.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     covered = [_get_choices(agent) for agent in summary.agents

@@ -96,7 +96,7 @@ def test_with_fewer_than_ten_runs_there_are_estimates_and_no_verdict():
                         r"too few for a verdict, which takes 10\.", said["headline"][0])
     assert not [text for text in said["finding"] for word in ("better", "shortens", "matches", "adds") if word in text]
     assert any("`smdp-dqn` has an efficiency of 0.05 (" in text for text in said["finding"])
-    assert any("with `--runs 10` the same command goes on from these" in text for text in said["caution"])
+    assert any("with `--runs 10` the same command continues these runs" in text for text in said["caution"])
     assert judge({"dqn": NEVER, "smdp-dqn": GOOD})["headline"][0].startswith("`smdp-dqn` is best")
 
 
