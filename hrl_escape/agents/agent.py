@@ -74,10 +74,10 @@ class RunningCall(NamedTuple):
     """One running call of a hierarchical agent, for display."""
 
     task: str  # its name
-    context: Any  # what its caller told it; None without one
+    context: Any  # argument from its caller, or None without one
     primitives: int  # run since the call
     ends: float  # probability that it is over at the moment of the choice
-    place: tuple[float, float] | None = None  # x and y of its goal on the floor, m; None where it has no place
+    place: tuple[float, float] | None = None  # x and y of its goal on the floor, m, or None if it has no place
 
 
 class Agent(Stateful, ABC):
@@ -87,23 +87,24 @@ class Agent(Stateful, ABC):
     `hrl_escape.agents.state`.
 
     For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`), is constructed
-    as `Class(observation_space, action_space, seed, settings)` with Discrete actions and a seed from which all of its
+    as `Class(observation_space, action_space, seed, settings)` with Discrete actions and a seed that decides all of its
     randomness follows (its own text names only what else it takes), and is published under the entry-point group
     `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]
         my-agent = "my_package.my_module:MyAgent"
 
-    The other members say what an agent can do beyond that. Their defaults are those of an agent that can do no more.
+    All other members are optional and declare further abilities of an agent.
     """
 
     name: ClassVar[str] = ""
-    """Name in messages: by default the class's, for the algorithms of this package that of their file, under which
-    `make_agent` knows them."""
+    """Name in messages: by default the class's name, and for the algorithms of this package the name of their file,
+    which `make_agent` accepts."""
     Settings: ClassVar[type]
-    """Dataclass of its settings; by default that of the annotation of `settings` in the class, found in its module."""
+    """Dataclass of its settings; by default the annotation of `settings` in the class, found in its module."""
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Name -> settings, beside `default`, which is `Settings()`; with the prefix `smdp-` for agents over options."""
+    """Name -> settings, in addition to `default`, which is `Settings()`; prefixed with `smdp-` for agents over
+    options."""
     needs_trace: ClassVar[bool] = False
     """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
     is_markov: bool = False
@@ -116,9 +117,9 @@ class Agent(Stateful, ABC):
     privileges: tuple[str, ...] = ()
     """Information that it is given and a flat agent is not."""
     _evaluation: tuple[Any, ...] | None = None
-    """Generator of the evaluation that runs, by which it is known, and what the agent remembers of its episode."""
+    """Generator of the running evaluation, which identifies it, and the agent's memory of its episode."""
     made_for: int | None = None
-    """Number of actions of the space it was made with; None where its class is constructed in another way."""
+    """Number of actions of the space it was made with, or None if its class is constructed in another way."""
 
     def __init_subclass__(cls, **named: Any) -> None:
         """Name an algorithm like its file, any other class like itself unless it says one; take up its `Settings`."""
@@ -147,7 +148,7 @@ class Agent(Stateful, ABC):
 
     @property
     def gamma(self) -> float:
-        """Discount per primitive, at which `SMDPTransition.reward` and `.discount` are computed."""
+        """Discount per primitive of `SMDPTransition.reward` and `.discount`."""
         return self.settings.gamma
 
     @abstractmethod
@@ -156,23 +157,23 @@ class Agent(Stateful, ABC):
 
     @abstractmethod
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action for evaluation: nothing in the agent may change.
+        """Choose an action for evaluation, without any change of the agent.
 
         A policy that is random by nature draws from `rng`, never from the agent's own generator, so that
         evaluating twice gives the same numbers and evaluating at all does not disturb learning.
         """
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on exactly where `state_dict` was taken; an evaluation that runs forgets its episode."""
+        """Restore the exact state of `state_dict`; a running evaluation loses the memory of its episode."""
         super().load_state_dict(state)
         self._evaluation = None
 
     def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
-        """Memory of the episode of an evaluation, which is known by its generator; None in a new one."""
+        """Memory of the episode of an evaluation, which is known by its generator, or None in a new one."""
         return self._evaluation[1:] if self._evaluation is not None and self._evaluation[0] is rng else None
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027
-        """Told in evaluation what the latest `act_greedy` with this generator came to; by default nothing matters.
+        """Receive the outcome of the latest `act_greedy` with this generator in evaluation; by default do nothing.
 
         For agents that count primitives within an episode: a decision may last several.
         """
@@ -190,18 +191,18 @@ class Agent(Stateful, ABC):
         """
 
     def compute_values(self, observation: Any) -> NDArray | None:
-        """Q(s, .) at an observation in units of return, (actions,); None without action values."""
+        """Q(s, .) at an observation in units of return, (actions,), or None without action values."""
         return None
 
     def compute_preferences(self, observation: Any) -> NDArray | None:
-        """Numbers that the greedy policy takes the argmax of, (actions,), before any mask; None without them.
+        """Numbers that the greedy policy takes the argmax of, (actions,), before any mask, or None without them.
 
-        For agents whose preferences are no values, such as the logits of a policy.
+        For agents with preferences other than values, such as the logits of a policy.
         """
         return None
 
     def compute_state_value(self, observation: Any) -> float | None:
-        """V(s) of a critic, in units of return; None without one."""
+        """V(s) of a critic, in units of return, or None without one."""
         return None
 
     def list_calls(self) -> tuple[RunningCall, ...]:
@@ -217,12 +218,12 @@ class Agent(Stateful, ABC):
         return (OptionPolicy("policy", self, lambda: _WholeRun(self), is_markov=self.is_markov),)
 
     def get_graph(self) -> frozenset[tuple[int, int]] | None:
-        """Edges (parent, child) of a learned dependency graph, by component of the observation; None without one."""
+        """Edges (parent, child) of a learned dependency graph, by component of the observation, or None without one."""
         return None
 
 
 class FixedPolicy(Agent):
-    """Base of agents that follow a rule and learn nothing: a subclass gives `act`, which is evaluated as it is."""
+    """Base of agents that follow a fixed rule: a subclass defines `act`, which evaluation uses unchanged."""
 
     Settings: ClassVar[type] = DiscountSettings
     STATE = ()
@@ -256,7 +257,7 @@ class OptionRun(Protocol):
 class OptionPolicy:
     """Something that an agent learned to do, with its own beginning and end.
 
-    It acts by what the agent knows when it is asked: an agent that goes on learning changes it.
+    It acts by the present parameters of the agent, which further learning changes.
     """
 
     name: str  #: unique among the policies of an agent
@@ -268,7 +269,7 @@ class OptionPolicy:
 
     @property
     def origin(self) -> Mapping[str, Any]:
-        """Run in which the agent learned, see `Agent.origin`."""
+        """Run that trained the agent, see `Agent.origin`."""
         return self.agent.origin
 
 
@@ -298,7 +299,7 @@ class _WholeRun:
         return 0.0
 
 
-# --- what an environment says -----------------------------------------------------------
+# --- what an environment reports --------------------------------------------------------
 
 
 class GoalRule(NamedTuple):
@@ -309,13 +310,13 @@ class GoalRule(NamedTuple):
     """
 
     compute_reward: Callable[[Any, Any, Mapping[str, Any]], Any]
-    """(achieved, desired, info) -> reward of a step after which these were the goals."""
+    """(achieved, desired, info) -> reward of a step that led to these goals."""
     compute_terminated: Callable[[Any, Any, Mapping[str, Any]], Any]
-    """The same -> whether this ends the episode, whatever else may end it."""
+    """The same -> whether the goals end the episode."""
 
 
 def read_goal_rule(env: gymnasium.Env) -> GoalRule | None:
-    """The rule of an environment, through any wrappers; None where it lacks one of the two methods."""
+    """Return the rule of an environment, through any wrappers, or None if it lacks one of the two methods."""
     if not all(env.has_wrapper_attr(name) for name in GoalRule._fields):
         return None
     return GoalRule(*map(env.get_wrapper_attr, GoalRule._fields))
@@ -342,11 +343,11 @@ def read_success(info: Mapping[str, Any]) -> bool | None:
     """Read whether an episode succeeded from the `info` of its last step.
 
     Args:
-        info: of the last step. `is_success` counts, else `success`; None is the same as no value. Gymnasium's own
-            environments give neither: a termination is no success.
+        info: of the last step. `is_success` counts, else `success`; None counts as missing. Gymnasium's own
+            environments define neither, and a termination alone is not a success.
 
     Returns:
-        Success; None where the environment reports neither.
+        Success, or None if the environment reports neither.
 
     Raises:
         StepContractError: the value is neither True, False, 1 nor 0.
@@ -366,7 +367,7 @@ def read_success_value(name: str, value: Any) -> bool:
         array = np.asarray(None)
     if array.size != 1 or array.dtype.kind not in "biuf" or array.item() not in (0, 1):
         raise StepContractError(f"info[{name!r}] is {value!r} at the last step of an episode; success must be True, "
-                                "False, 1 or 0. Leave the key out, or set it to None, where there is no success")
+                                "False, 1 or 0. Leave the key out, or set it to None, if success is undefined")
     return bool(array.item())
 
 
@@ -400,7 +401,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     - `duration`: int k >= 1, primitives that ran; absent means 1.
     - `discounted_reward` and `discount`: R = sum gamma^i r_i and gamma^k, read where the gamma is the agent's (see
       `set_option_discount`).
-    - `rewards`: the k primitive rewards in order, from which R is computed at any gamma. One of the two ways is needed
+    - `rewards`: the k primitive rewards in order, to compute R at any gamma. One of the two ways is needed
       where k > 1.
     - `summed_reward`: the undiscounted sum, where `rewards` are left out.
     - `action_mask`: see `read_action_mask`; at the state reached.
@@ -411,7 +412,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
       next_observation) and can have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
       of the actions whose policy, a function of the state alone, does this same primitive here, with
       their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
-      may stand for several primitives, a decision of a level below; it then has their `rewards`.
+      can represent several primitives, a decision of a level below; it then has their `rewards`.
 
     `reward` must be the sum of the primitive rewards or their discounted sum. Where it is neither, a wrapper changed it
     after the primitives were summed, and the step is refused: below the options such a wrapper acts on every primitive.
@@ -447,7 +448,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
 def set_option_discount(env: Any, gamma: float) -> None:
     """Set the discount of every `OptionsEnv` in an environment, so that its `discounted_reward` is at this gamma.
 
-    Environments without options stay as they are. `train` and `evaluate` call it with the agent's gamma.
+    Environments without options remain unchanged. `train` and `evaluate` call it with the agent's gamma.
 
     Args:
         env: an environment, a vector environment, or streams.
@@ -500,7 +501,7 @@ def count_actions(action_space: gymnasium.Space, agent: str) -> int:
 
 
 def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
-    """Number of actions of an environment, in which an agent is to run.
+    """Number of actions of an environment that is to run an agent.
 
     Raises:
         UnsupportedSpaceError: the space is not Discrete(n) from 0, or the agent was made for another number.
@@ -545,5 +546,5 @@ def show_form(space: gymnasium.Space) -> str:
 
 
 def count_steps(transition: SMDPTransition, settings: LearningSettings) -> int:
-    """Steps by which a decision advances the agent's clock: k with the clock in primitives, else 1."""
+    """Steps of the agent's clock in a decision: k with the clock in primitives, else 1."""
     return transition.duration if settings.clock == "primitive" else 1

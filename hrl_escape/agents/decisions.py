@@ -49,7 +49,7 @@ class SMDPTransition(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """n moments at which an action is chosen."""
+    """n moments of choice."""
 
     env: Any  # int64 (n,), environment of each row; no environment has two rows
     observation: Any  # tensor (n, ...), or a sequence of n observations of any space
@@ -106,7 +106,7 @@ class Policy(ABC):
     """
 
     is_markov: bool = True
-    """The choice is a function of the observation and the legal actions: nothing is drawn or remembered."""
+    """True if the choice is a function of the observation and the legal actions, without randomness and memory."""
 
     @abstractmethod
     def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:

@@ -1,11 +1,11 @@
 """Discovery: the graph of the states that an agent has met, options found in it, and agents that use them.
 
-Its slow directions are those of a random walk on it: the eigenvectors of small eigenvalue of its Laplacian (Chung
-1997), and those of large eigenvalue of its successor representation (Machado et al. 2018). Each comes with its largest
-number positive. Options are tables from states to primitives, with an end where there is no entry.
+Its slow directions are the slow directions of a random walk on it. They are the eigenvectors of small eigenvalue of its
+Laplacian (Chung 1997), or of large eigenvalue of its successor representation (Machado et al. 2018). The largest number
+of each is positive. Options are tables from states to primitives, and end in states without an entry.
 
-Found options lie in slots of a declared maximum. An empty slot is masked, numbers never change, and what is found anew
-takes the place of what was found before under the same number.
+Found options occupy slots of a declared maximum. An empty slot is masked, and numbers never change. A new option
+replaces the former one of the same number.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class StateGraph(Stateful):
         return len(self._numbers)
 
     def find(self, key: bytes) -> int | None:
-        """Number of a state; None for one never met."""
+        """Number of a state, or None for one never met."""
         return self._numbers.get(key)
 
     def number(self, key: bytes) -> int:
@@ -119,7 +119,7 @@ class Directions(NamedTuple):
 
 
 def compute_laplacian(adjacency: NDArray[np.float64], kind: LaplacianKind) -> NDArray[np.float64]:
-    """Laplacian of an undirected graph of which no state is without an edge, (states, states)."""
+    """Laplacian of an undirected graph without isolated states, (states, states)."""
     degrees = adjacency.sum(axis=1)
     laplacian = np.diag(degrees) - adjacency
     if kind == "combinatorial":
@@ -142,9 +142,9 @@ def compute_successor_representation(transition: NDArray[np.float64], gamma: flo
 
 
 def find_slow_directions_of_successors(successors: NDArray[np.float64], count: int) -> Directions:
-    """Right eigenvectors of large eigenvalue of a successor representation; eigenvalues are those of I - gamma P.
+    """Right eigenvectors of large eigenvalue of a successor representation; eigenvalues refer to I - gamma P.
 
-    A directed walk may have complex ones, of which the real parts are taken.
+    A directed walk can have complex ones; then the real parts are used.
     """
     values, vectors = (np.real(part) for part in np.linalg.eig(successors))
     order = np.argsort(-values, kind="stable")[1 : count + 1]
@@ -173,7 +173,7 @@ def find_covering_edge(adjacency: NDArray[np.float64]) -> tuple[int, int]:
 class TableSkill:
     """A deterministic Markov option over numbered states."""
 
-    name: str  # tells it from others
+    name: str  # unique
     actions: NDArray[np.int64]  # int64 (states,), the primitive in each state, `NOTHING` where it ends
     starts: NDArray[np.bool_]  # bool (states,), where it may begin
 
@@ -233,7 +233,7 @@ def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_],
 
 
 class Discovery(Stateful, ABC):
-    """Finds options in what an agent has met; its state is everything beside the graph that decides what is found.
+    """Finds options in the data of an agent; its state is everything except the graph that decides what is found.
 
     Attributes:
         slots: most options that it ever has at once.
@@ -266,7 +266,7 @@ class DiscoveringAgent(TabularAgent):
 
     For each primitive (s, a) -> r, s' and each option o that would have done a in s, with `use="choose"`:
 
-        Q(s, o) <- Q(s, o) + alpha [r + gamma (Q(s', o) if o goes on in s' else max over o' of Q(s', o')) - Q(s, o)]
+        Q(s, o) <- Q(s, o) + alpha [r + gamma (Q(s', o) if o continues in s' else max over o' of Q(s', o')) - Q(s, o)]
 
     Attributes:
         graph: the states met.
@@ -354,7 +354,7 @@ class DiscoveringAgent(TabularAgent):
         self._shown = None if skill is None else RunningCall(skill.name, None, lasted, 0.0)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Go on with a running option; else epsilon-greedy, an exploratory choice being an option or a primitive."""
+        """Continue a running option, or choose epsilon-greedily; an exploratory choice is an option or a primitive."""
         action = self.go_on(self._running, observation, action_mask)
         if action == NOTHING:
             choice = self._choose(observation, action_mask)
@@ -439,7 +439,7 @@ class GraphDiscovery(Discovery):
         self._decisions += 1
 
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
-        """All options, whenever they are due and some states are connected."""
+        """All options, if they are due and some states are connected."""
         if self._decisions % self._every or len(graph) > self._most_states:
             return {}
         adjacency = graph.make_adjacency()

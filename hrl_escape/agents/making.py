@@ -15,7 +15,7 @@ from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import replace_settings
 
 GOAL_RULE = "goal_rule"
-"""Name under which agents take what an environment says of its goals; those that do not take it do without."""
+"""Argument of agents for an environment's definition of goals; other agents do not use it."""
 
 
 def make_agent(agent: str | AgentSpec | type[Agent], observation_space: gymnasium.Space,
@@ -29,7 +29,7 @@ def make_agent(agent: str | AgentSpec | type[Agent], observation_space: gymnasiu
         observation_space: what it will see.
         action_space: Discrete.
         seed: 0 or more; all of the agent's randomness follows from it.
-        structure: what the agent is given beside spaces and settings, such as a `hierarchy`; see `read_structure`.
+        structure: further input of the agent, such as a `hierarchy`; see `read_structure`.
         **settings: fields of the agent's settings to change, such as `gamma=0.995`; they come after the spec's.
 
     Raises:

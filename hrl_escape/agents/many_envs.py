@@ -34,7 +34,7 @@ class EndedDecisions(NamedTuple):
 
 
 class ManyEnvs(Protocol):
-    """Many copies of an environment; `observation_space` and `action_space` are those of one.
+    """Many copies of an environment; `observation_space` and `action_space` describe a single copy.
 
     A vector environment, whose steps wait for all, may return them from its method `get_streams`. One that can make an
     ordinary environment of the same task, spaces and action numbers has the method `make_single_env`. One whose running
@@ -82,7 +82,7 @@ class ManyEnvs(Protocol):
         ...
 
     def state_dict(self) -> StateTree | None:
-        """Everything that later steps depend on; None if it cannot be saved."""
+        """State that later steps depend on, or None if it cannot be saved."""
         ...
 
     def load_state_dict(self, state: StateTree) -> None:

@@ -47,7 +47,7 @@ SWEEP, SWEEP_RANDOM = "sweep", "sweep-random"
 SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK = "search-random", "search-nearest", "search-backtrack"
 BAYES, ORACLE = "bayes", "oracle"
 REFERENCES = (SWEEP, SWEEP_RANDOM, SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK, BAYES, ORACLE)
-"""Agents that follow a rule and learn nothing; `benchmark.references` makes them."""
+"""Agents that follow a fixed rule; `benchmark.references` makes them."""
 _ALONE = (*REFERENCES, TEXT_AGENT)
 """Agents that are made from a room instead of spaces and settings."""
 
@@ -95,7 +95,7 @@ PARTS: dict[str, AgentPart] = {
                          low_level="planned"),
     "learned": AgentPart("the same, with a learned low level", "with a learned low level", low_level="learned"),
 }
-"""Parts of a spec behind `+`, in the order in which specs are written."""
+"""Parts of a spec after `+`, in their written order."""
 
 _GRAMMAR = re.compile(r"(?P<name>[^(@+]*)(?:\((?P<settings>.*)\))?(?:@(?P<recipe>[^@+()]*))?(?P<parts>(?:\+[^+()@]*)*)",
                       re.DOTALL)
@@ -133,17 +133,18 @@ class AgentSpec(Settings):
 
     _section = "agent"
     name: str = "random"
-    """Name in the registry, smdp- in front to choose options; or one of `REFERENCES`, which learn nothing."""
+    """Name in the registry, with `smdp-` in front to choose options; or one of `REFERENCES`, which follow fixed
+    rules."""
     label: str = dataclasses.field(default="", compare=False)
     """Name in tables and curves; empty for the text of the spec."""
     recipe: str = DEFAULT_RECIPE
-    """Named settings, such as keras-rl-2019; `hrl-escape list recipes` shows those of each agent."""
+    """Named settings, such as keras-rl-2019; `hrl-escape list recipes` lists them for each agent."""
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Settings that differ from the named ones."""
     options: OptionsView = OptionsView()
     """Options it chooses among, if it does."""
     low_level: Literal["planned", "learned"] | None = None
-    """Low level of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq; None for no
+    """Low level of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq, or None for no
     hierarchy."""
 
     def check(self) -> None:
@@ -260,7 +261,7 @@ class AgentSpec(Settings):
 
     @property
     def algorithm(self) -> str:
-        """Name in the registry, whatever the agent chooses among: `dqn` of `smdp-dqn`, `random` of `random-options`."""
+        """Name in the registry without its prefix: `dqn` of `smdp-dqn`, `random` of `random-options`."""
         return split_name(self.name)[0]
 
     @property

@@ -223,7 +223,7 @@ class ActionValues:
 
     Args:
         settings: of networks and targets, as `DQNSettings` has them.
-        network: a module of the user's own; None makes what the settings say.
+        network: a module of the user's own, or None for the network of the settings.
 
     Attributes:
         online: Q_theta, from encoded observations to scaled values of all actions.

@@ -121,8 +121,8 @@ class PPOSettings(AgentSettings):
 class PPO(BatchAgent):
     """Proximal policy optimisation; the equation is in the module's text.
 
-    The policy itself is random, so there is no schedule of exploration. A decision that outlasts the rollout in which
-    it was made counts in the next one, with the probability that it was made with.
+    The policy is stochastic and needs no schedule of exploration. A decision that outlasts the rollout of its choice
+    counts in the next one, with its probability at the choice.
 
     Attributes:
         policy: logits of the actions.
@@ -159,7 +159,7 @@ class PPO(BatchAgent):
         self.rollout = RolloutBuffer(self._arrays, num_envs)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin episodes; where there are as many as before, those of the present rollout count as truncated."""
+        """Begin episodes; with as many environments as before, episodes of the present rollout count as truncated."""
         if self.place == (num_envs, device):
             self.rollout.truncate()
             self._recollections.begin_episodes()

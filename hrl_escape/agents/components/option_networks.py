@@ -53,7 +53,7 @@ class OptionChoices(NamedTuple):
     former: Tensor  # int64 (n,), that ran before it; `NONE` at an episode's first decision
     is_chosen: Tensor  # bool (n,), the former had ended, or there was none
     log_probability: Tensor | None = None
-    """Float32 (n,), of the option that ran, as it was drawn; None where the networks are still those that drew."""
+    """Float32 (n,), of the running option when it was drawn, or None if the networks are unchanged since."""
 
 
 def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
@@ -108,7 +108,7 @@ class OpenOptions(Stateful):
         return self._option[env]
 
     def end(self, env: Tensor, over: Tensor) -> OptionChoices:
-        """Options of decisions that ended, int64 (n,); where the episode is `over` too, bool (n,), none goes on."""
+        """Return the options of decisions that ended, int64 (n,), and drop options where `over`, bool (n,), is set."""
         choices = OptionChoices(self._option[env], self._former[env], self._is_chosen[env], self._log_probability[env])
         self._decisions[env] += 1
         self._finish(env[over])
@@ -193,7 +193,7 @@ class OptionRollout(Stateful):
 
     @property
     def _rows(self) -> StateTree | None:
-        """Fields of what was collected; None where that is nothing."""
+        """Fields of what was collected, or None if that is nothing."""
         return {"rollout": self.gather()[0]._asdict(), "own": self.gather()[1]._asdict()} if self._count else None
 
     @_rows.setter
@@ -209,7 +209,7 @@ class OptionHeads:
     """Networks of a fixed number of options over encoded observations, and their optimiser.
 
     Args:
-        settings: of the agent: those of networks, `options`, and `initial_termination` where options end.
+        settings: of the agent: its networks, `options`, and `initial_termination` if options end.
         trained: names of the networks that are learned with `learning_rate`; empty for all.
 
     Attributes:
@@ -284,7 +284,7 @@ class OptionHeads:
     def compute_next_values(self, rollout: Rollout, choices: OptionChoices) -> tuple[Tensor, Tensor]:
         """Values of the states reached, (n,) each: of the option that ran next, and before that one was drawn.
 
-        Where none ran next in the rollout, because the episode was cut or the rollout ended, both are the latter.
+        If none ran next in the rollout, because the episode was cut or the rollout ended, both are the latter.
         """
         values = self.critic(rollout.next_observation)
         mean = mix_values(self.compute_option_choice(rollout.next_observation, choices.option), values, choices.option)
@@ -302,8 +302,8 @@ class OptionHeads:
     def compute_termination_loss(self, reached: Tensor, goes_on: Tensor, option: Tensor, margin: float) -> Tensor:
         """Mean of beta_o(s') (Q(s', o) - V(s') + margin) over decisions, 0 where the task ended, ().
 
-        `reached` are the states s', encoded, (n, ...), at which the task goes on or not, bool (n,); the margin is in
-        scaled return.
+        `reached` are the states s', encoded, (n, ...), with a flag whether the task continues, bool (n,); the margin is
+        in scaled return.
 
         V(s') is the mean of Q(s', .) over the policy over options, and only beta has a gradient.
         """
@@ -323,7 +323,7 @@ class OptionHeads:
                             old_log_probability: Tensor, advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
         """PPO's loss of actions within options over a minibatch, and its parts.
 
-        Observations are encoded, (n, ...), the mask is bool (n, actions), all others are (n,); the target is that of
+        Observations are encoded, (n, ...), the mask is bool (n, actions), all others are (n,); the target is for
         Q(s, o).
         """
         log_policy = self.compute_log_policies(observation, option, mask)
@@ -389,7 +389,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
     # --- acting -------------------------------------------------------------------------
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin an episode in every environment; in as many as before, the rollout is truncated and goes on."""
+        """Begin an episode in every environment; with as many as before, the rollout is truncated and continues."""
         self._option, self._decisions = NONE, 0
         if self.place == (num_envs, device):
             if self._many is not None:

@@ -109,7 +109,7 @@ class Replay(Stateful):
 
         Args:
             experience: the backups.
-            env: environment of each, int64 (n,); None for backups that nothing is joined to.
+            env: environment of each, int64 (n,), or None for backups that nothing is joined to.
             over: bool (n,), where the episode ended.
         """
         count, capacity = len(experience.reward), self.capacity
@@ -185,8 +185,8 @@ class Replay(Stateful):
 class Priorities(Stateful):
     """Rows of a ring drawn in proportion to their latest loss to a power (Schaul et al. 2016, section 3.3).
 
-    New rows have the largest priority so far. The sums are taken anew for every draw: of 50,000 rows that takes 0.1 ms,
-    less than a tree of sums in Python.
+    New rows have the largest priority so far. The sums are computed again for every draw: for 50,000 rows that takes
+    0.1 ms, less than a tree of sums in Python.
     """
 
     STATE = ("_powers", "_largest", "_seen")
@@ -227,7 +227,7 @@ class ReplayAgent(BatchAgent):
         relaxed: replay holds a vector in place of the action's index.
 
     Attributes:
-        replay: decisions of the environments in which the agent acts.
+        replay: decisions of the agent's environments.
     """
 
     settings: Any

@@ -1,8 +1,8 @@
 """Goals as the interface between levels: by number alone, with a manager and a worker, or as points.
 
-What a goal is, and whether it is reached, is read from the observation. A goal space projects an observation onto a
-point. A goal is a point to be at or, where goals are relative, a displacement still to be made (Nachum et al. 2018). A
-NaN in a goal stands for a component that does not matter.
+Goals are defined on observations. A goal space projects an observation onto a point. A goal is a point to be at or,
+where goals are relative, a displacement still to be made (Nachum et al. 2018). A NaN in a goal marks a component that
+does not matter.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ class GoalSet:
     policy: Callable[[Any, int], int | None] | None = None
     """(observation, goal) -> the primitive towards it, None where there is none; by default that is learned."""
     manager_view: GoalView | None = None  # what of an observation the manager sees; all by default
-    worker_view: GoalView | None = None  # what of it the worker sees, beside the goal
+    worker_view: GoalView | None = None  # the part of it that the worker sees, in addition to the goal
     names: tuple[str, ...] = ()  # of the goals, for options made of them; numbers by default
     places: tuple[tuple[float, float] | None, ...] = ()
     """X and y of each goal on the floor, m, for drawings; none by default."""
     source: Literal["given", "synthesised"] = "given"  # where the goals come from
-    privileges: tuple[str, ...] = ("goals",)  # what they tell the agent that the observation does not
+    privileges: tuple[str, ...] = ("goals",)  # information beyond the observation
 
 
 class Manager(ViewTask):
@@ -78,7 +78,7 @@ class Manager(ViewTask):
 
 
 class Worker(ViewTask):
-    """Walks to the goal it is told, paid for reaching it alone; gives up after `patience` primitives, with 0 never."""
+    """Reaches its goal, and is rewarded for that alone; gives up after `patience` primitives, or never for 0."""
 
     def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
         super().__init__("worker", primitives, goals.worker_view)
@@ -136,19 +136,19 @@ def measure_straight(start: GoalPoint, end: GoalPoint) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class GoalSpace:
-    """Points that goals lie in, and the finitely many goals that may be named, numbered from 0."""
+    """Points for goals, and a finite set of goals to choose from, numbered from 0."""
 
     project: Callable[[Any], GoalPoint]  # observation -> its point
     goals: NDArray[np.float64]  # float64 (count, dimensions)
     is_relative: bool = False  # goals are displacements from where they are named
     distance: Callable[[GoalPoint, GoalPoint], NDArray[np.float64]] = measure_straight
     """From a point to points (..., dimensions), in their unit or in any other, such as primitives along the floor."""
-    tolerance: float = 1e-6  # distance at which a goal counts as reached
+    tolerance: float = 1e-6  # largest distance from a reached goal
     find_desired: Callable[[Any], int] | None = None
-    """Observation -> number of the goal that the episode asks for; None where its end alone tells."""
+    """Observation -> number of the goal that the episode asks for, or None if only its end shows it."""
     view: GoalView | None = None  # what of an observation tables and networks see; all by default
     names: tuple[str, ...] = ()  # of the goals, for a person; none by default
-    privileges: tuple[str, ...] = ("goals",)  # what the space tells an agent that the observation does not
+    privileges: tuple[str, ...] = ("goals",)  # information beyond the observation
 
     def __post_init__(self) -> None:
         if self.goals.ndim != 2 or not len(self.goals):
@@ -163,17 +163,17 @@ class GoalSpace:
         return self.project(observation) + goal if self.is_relative else goal
 
     def advance(self, goal: GoalPoint, observation: Any, next_observation: Any) -> GoalPoint:
-        """h(s, g, s'): the same goal as told at s'; s + g - s' where goals are relative, else g."""
+        """h(s, g, s'): the same goal relative to s'; s + g - s' if goals are relative, else g."""
         if not self.is_relative:
             return goal
         return goal + self.project(observation) - self.project(next_observation)
 
     def measure(self, goal: GoalPoint, observation: Any) -> NDArray[np.float64]:
-        """Distance that is left to a goal, or to each of several, as told at an observation; (...)."""
+        """Distance from an observation to a goal, or to each of several; (...)."""
         return self.distance(self.project(observation), self.locate(goal, observation))
 
     def is_reached(self, goal: GoalPoint, observation: Any) -> bool:
-        """A goal as told at an observation is reached there."""
+        """Return whether a goal is reached at an observation."""
         return bool(self.measure(goal, observation) <= self.tolerance)
 
     def list_reached(self, observation: Any) -> NDArray[np.bool_]:

@@ -77,7 +77,7 @@ def machine(function: Callable[..., Program]) -> Machine:
 
 
 def find_machines(root: Machine) -> dict[str, Machine]:
-    """Machines that a program can call, by name: those that its functions name, in whatever scope, and itself."""
+    """Machines that a program can call, by name: itself, and the machines that its functions name in any scope."""
     found: dict[str, Machine] = {}
     left: list[Any] = [root]
     while left:
@@ -98,14 +98,14 @@ Input = Seen | int
 class MachineRun:
     """One run of a machine, from the beginning of an episode.
 
-    A generator cannot be copied, so a run keeps all it was told: `MachineRun(root, run.inputs[:n])` is the run as it
-    was then.
+    A generator cannot be copied, so a run keeps all its inputs: `MachineRun(root, run.inputs[:n])` is the run after n
+    of them.
 
     Args:
-        callers: machine state of those that called it; by default it is the root of a program, which may not return.
+        callers: machine state of its callers; by default it is the root of a program, which must not return.
 
     Attributes:
-        request: what it waits for; None before the first moment, and where the machine has returned.
+        request: what it waits for, or None before the first moment and after the machine returned.
     """
 
     def __init__(self, root: Callable[[], Program], inputs: Sequence[Input] = (),
@@ -122,7 +122,7 @@ class MachineRun:
             self.tell(each)
 
     def tell(self, told: Input) -> None:
-        """Tell the moment reached, or which of the things is chosen.
+        """Send the moment reached, or the choice among the things.
 
         Raises:
             StepContractError: the machine yields something else than choices and primitives, offers nothing, or has
@@ -143,7 +143,7 @@ class MachineRun:
             self.request = None
             if self._callers:
                 return
-            raise StepContractError("the root machine returned while the episode goes on; let it loop") from None
+            raise StepContractError("the root machine returned before the end of the episode; let it loop") from None
         if not isinstance(request, (Choose, Do)):
             raise StepContractError(f"a machine yielded {request!r}; it must yield choose(things) or do(primitive)")
         self.request = request

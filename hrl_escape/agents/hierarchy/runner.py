@@ -1,9 +1,8 @@
 """An agent that runs a hierarchy's calls: the part of the Agent protocol that all hierarchical agents share.
 
-It walks the stack and turns each primitive's outcome into returned decisions; subclasses choose and
-learn. Evaluation runs calls of its own beside those of learning, one stack per generator: `play_episode`
-makes a generator per episode, so a call that lasts is remembered within an episode and never beyond, and
-nothing of it is part of the agent's state.
+It walks the stack and turns each primitive's outcome into returned decisions; subclasses choose and learn. Evaluation
+has calls of its own, one stack per generator. `play_episode` makes a generator per episode, so a running call is
+remembered within an episode only and is not part of the agent's state.
 
 `StackAgent` is made of agents: each task's learner is an ordinary `Agent` that sees its task's views and choices, and
 learns from SMDP transitions whose reward is its task's pay.
@@ -50,9 +49,9 @@ class StackSettings(AgentSettings):
     """Settings of how calls run."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
 
 
@@ -69,7 +68,7 @@ class CallRunner(SwitchingAgent):
     _stack: Stack
     """Calls that run at the next choice; the last of them is to choose."""
     _chosen: tuple[Stack, Seen, int] | None
-    """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
+    """After `act`: the stack down to the primitive, and the moment. The next `act` chooses again."""
 
     def __init__(self, hierarchy: Hierarchy, seed: int, settings: AgentSettings) -> None:
         self.hierarchy, self.privileges = hierarchy, hierarchy.privileges
@@ -90,7 +89,7 @@ class CallRunner(SwitchingAgent):
 
     @property
     def moment(self) -> Seen | None:
-        """The moment at which the primitive was chosen; None before `act`."""
+        """The moment of the choice of the primitive, or None before `act`."""
         return None if self._chosen is None else self._chosen[1]
 
     # --- what subclasses say ----------------------------------------------------------
@@ -102,14 +101,14 @@ class CallRunner(SwitchingAgent):
     @abstractmethod
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """Choose for the last call in evaluation; nothing in the agent may change."""
+        """Choose for the last call in evaluation, without any change of the agent."""
 
     @abstractmethod
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn from one primitive and the decisions that came back with it, the innermost first."""
 
     def get_gamma(self, task: BaseTask) -> float:
-        """Discount at which a task's decisions are summed."""
+        """Discount of a task's sums over decisions."""
         return self.gamma
 
     # --- the agent --------------------------------------------------------------------
@@ -148,7 +147,7 @@ class CallRunner(SwitchingAgent):
             self._evaluation = None if is_over else (rng, stack, step._replace(duration=transition.duration))
 
     def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:  # noqa: B027
-        """Told in evaluation of the decisions that came back, without pay."""
+        """Receive the returned decisions in evaluation, without rewards."""
 
     def list_calls(self) -> tuple[RunningCall, ...]:
         """Calls behind the latest choice, the root first."""
@@ -160,7 +159,7 @@ class CallRunner(SwitchingAgent):
         )
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Every call that a task below the root can be told, run to its end; without tasks below, the whole policy."""
+        """Every call of a task below the root, run to its end; without tasks below, the whole policy."""
         calls = [(name, task, context) for task in self.hierarchy.below for name, context in task.list_calls().items()]
         return tuple(self._export(*call) for call in calls) or super().get_options()
 
@@ -224,7 +223,7 @@ class TabularRunner(CallRunner):
 
     @abstractmethod
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """Values of what the last call may choose, (choices,); None where a given policy leaves it one choice."""
+        """Values of what the last call may choose, (choices,), or None if a given policy leaves it one choice."""
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """Explore by the call's values."""
@@ -283,15 +282,14 @@ class _CallRun:
 
 
 class StackAgent(CallRunner):
-    """An agent at each task, told of its task's decisions.
+    """An agent at each task, which learns from its task's decisions.
 
-    Of a decision (s, c) of task i that lasted k primitives, the learner of i is told s, c, s', gamma^k and
+    After a decision (s, c) of task i that lasted k primitives, the agent of i receives s, c, s', gamma^k and
 
         R = sum over t < k of gamma^t pay_i(t)    [+ gamma^k final_i(s') if i ended by itself]
 
-    It is told "terminated" where i ended by itself, where i had nothing left to choose, and where the episode
-    terminated; "truncated" where a caller or the time limit took i along, so that it bootstraps at the cut in its
-    own view.
+    "terminated" is set if i ended by itself, had nothing left to choose, or the episode terminated. "truncated" is set
+    if a caller or the time limit ended i, and the agent then bootstraps at the cut in its own view.
 
     Args:
         observation_space: the environment's, for tasks that name no view space of their own.
@@ -306,7 +304,7 @@ class StackAgent(CallRunner):
     def __init__(self, hierarchy: Hierarchy, observation_space: gymnasium.Space, seed: int,
                  settings: StackSettings | None = None) -> None:
         super().__init__(hierarchy, seed, settings or StackSettings())
-        self.made_for = None  # the second argument is no action space
+        self.made_for = None  # the second argument is not an action space
         tasks = hierarchy.tasks
         self._owned: dict[str, Agent] = {}
         for name, make in hierarchy.learners.items():
@@ -337,7 +335,7 @@ class StackAgent(CallRunner):
         return [name for name, each in self.learners.items() if each is learner]
 
     def _find_env(self, stack: Stack, learner: Agent) -> torch.Tensor:
-        """Number of the environment in which the learner of a running call acts, int64 (1,).
+        """Number of the environment for the agent of a running call, int64 (1,).
 
         Raises:
             UnsupportedError: two calls of one task run at once.
@@ -406,7 +404,7 @@ def _make_row(value: Any) -> torch.Tensor:
 
 
 def make_task_transition(returned: Return) -> SMDPTransition:
-    """The SMDP transition of one decision of a running call, as the learner of its task is told it."""
+    """The SMDP transition of one decision of a running call, as input of its task's agent."""
     frame, decision = returned.frame, returned.decision
     task, seen = frame.task, returned.seen
     final = task.final(frame, seen) if returned.ended else 0.0

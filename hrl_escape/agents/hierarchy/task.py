@@ -2,7 +2,7 @@
 
 A hierarchical method is a stack of running calls. At each primitive the top call chooses, the world
 moves once, and every running call is paid and asked whether it is over. Methods differ in the answers
-that a task gives to six questions: `view`, `legal`, `decode`, `ends`, `pay`, `final`. Nothing here learns.
+that a task gives to six questions: `view`, `legal`, `decode`, `ends`, `pay`, `final`. The module does not learn.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Seen(NamedTuple):
 
     observation: Any  # as the environment gave it
     mask: NDArray[np.bool_]  # bool (primitives,), the primitives legal there
-    state: Any = None  # what `Hierarchy.read` made of the observation; None without it
+    state: Any = None  # what `Hierarchy.read` made of the observation, or None without it
 
 
 def allow_only(choice: int | None, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -38,7 +38,7 @@ class Call(NamedTuple):
 
     Attributes:
         child: a task, or the number of a primitive.
-        context: what the child is told: a goal, a command, a length.
+        context: argument of the child: a goal, a command, a length.
     """
 
     child: BaseTask | int
@@ -61,11 +61,11 @@ class Frame(NamedTuple):
     """One running call."""
 
     task: BaseTask  # which task runs
-    context: Any  # what its caller told it
+    context: Any  # argument from its caller
     start: Seen  # the moment of the call
     primitives: int = 0  # primitives that ran since
     reward: float = 0.0  # undiscounted sum of its pay since
-    decision: Decision | None = None  # its latest choice; None before the first
+    decision: Decision | None = None  # its latest choice, or None before the first
 
 
 Stack = tuple[Frame, ...]
@@ -91,14 +91,14 @@ class Step(NamedTuple):
 
 
 class BaseTask:
-    """A kind of call: by default it sees the observation, is paid by the environment, and calls primitives until told.
+    """A kind of call: by default it sees the observation, gets the environment's reward, and never ends by itself.
 
     Views and contexts are numbers, arrays, or None, so that a checkpoint can hold a running call.
 
     Args:
         name: unique in its hierarchy.
-        view_space: of its views; None is the environment's observation space.
-        child: the task that every choice calls, told the choice's number; None where choices are primitives.
+        view_space: of its views, or None for the environment's observation space.
+        child: the task that every choice calls with the choice's number, or None if choices are primitives.
     """
 
     def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None,
@@ -115,7 +115,7 @@ class BaseTask:
         return seen.mask
 
     def find_place(self, context: Any) -> tuple[float, float] | None:
-        """Place (x, y) of the goal of a call on the floor, m, for drawings; None where it has no place."""
+        """Place (x, y) of the goal of a call on the floor, m, for drawings, or None if it has no place."""
         return None
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
@@ -123,11 +123,11 @@ class BaseTask:
         return self.ends(Frame(self, context, seen), seen) < 1.0 and bool(self.legal(seen, context).any())
 
     def list_calls(self) -> Mapping[str, Any]:
-        """Calls that stand on their own, as options: name -> what the caller says, by default one, told nothing."""
+        """Calls to use as options: name -> argument; by default one without an argument."""
         return {self.name: None}
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The call that a choice stands for, by default the primitive of this number, or the child, told it."""
+        """Return the call of a choice, by default the primitive of this number, or the child with this number."""
         return Call(int(choice)) if self.child is None else Call(self.child, int(choice))
 
     def ends(self, frame: Frame, seen: Seen) -> float:
@@ -149,13 +149,13 @@ class BaseTask:
 
 
 LearnerSpec = Callable[[gymnasium.Space, gymnasium.spaces.Discrete, int], Agent]
-"""Makes the learner of a task from view space, choices and seed: an agent's class, or
+"""Makes the agent of a task from view space, choices and seed: an agent's class, or
 `functools.partial(make_agent, "dqn")`."""
 
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """Tasks below a root, the learner of each, and what they are told that a flat agent is not."""
+    """Tasks below a root, the agent of each, and their information beyond a flat agent's."""
 
     root: BaseTask  #: the call that runs for the whole episode
     below: tuple[BaseTask, ...] = ()  #: all other tasks
@@ -267,7 +267,7 @@ def arrive(stack: Stack, step: Step, get_gamma: Callable[[BaseTask], float], dra
         step: what the world did.
         get_gamma: the discount of a task, per step of the environment.
         draw: whether a termination of this probability, above 0 and below 1, happens.
-        polled: end every call but the root, so that each is chosen anew at every primitive.
+        polled: end every call but the root, and choose each again at every primitive.
         paid: compute pay; without it rewards stay 0, for evaluation, where none is known.
 
     Returns:

@@ -20,9 +20,9 @@ Until = Callable[[Seen], bool]
 View = Callable[[Seen], Any]
 """Part of a moment that matters: a number, a tuple of numbers, or an array."""
 Pseudo = Callable[[Seen], float]
-"""Pseudo-reward of the state in which the task ended."""
+"""Pseudo-reward of a task's final state."""
 TaskPolicy = Callable[[Seen], int | None]
-"""The one child, by its number as a choice, that a task whose policy is known may call; None where there is none."""
+"""The one child, by its number as a choice, that a task whose policy is known may call, or None if there is none."""
 
 
 class GraphTask(BaseTask):
@@ -32,7 +32,7 @@ class GraphTask(BaseTask):
         children: tasks and primitives, numbered as choices are.
         views: what matters to it: under None, for the task; under a choice, for that choice's completion.
         primitive_views: what matters to the value of a primitive, for all tasks.
-        policy: makes its choice for it; None leaves the choice to learning.
+        policy: makes its choice for it, or None to learn the choice.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ def maxq(
         learners: task -> its learner, for `StackAgent`.
         read: makes `Seen.state` of an observation.
         source: where the graph comes from.
-        privileges: what else than graph and state it tells the agent.
+        privileges: information beyond graph and state.
 
     Raises:
         UnknownNameError: a child or a key names no task.
@@ -189,7 +189,7 @@ def freeze(view: Any) -> Hashable:
 
 def _refuse_circles(task: GraphTask, callers: tuple[str, ...]) -> None:
     if task.name in callers:
-        raise AgentSettingsError("graph", " -> ".join((*callers, task.name)), "a graph in which no task calls itself")
+        raise AgentSettingsError("graph", " -> ".join((*callers, task.name)), "a graph without cycles")
     for child in task.children:
         if not isinstance(child, int):
             _refuse_circles(child, (*callers, task.name))

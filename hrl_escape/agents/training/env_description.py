@@ -1,11 +1,11 @@
-"""Descriptions of environments as JSON: a run's folder keeps one, by which it is recognised and made again.
+"""Descriptions of environments as JSON: a run's folder keeps one, to identify the environment and make it again.
 
 A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
 environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, and
 wrappers by Gymnasium's `RecordConstructorArgs`. Without these, arguments are read from the attributes that bear their
 names, as in `self.size = size`. An argument that is an object, such as an option, is described by its class, its name
 and a hash of what it holds: what its own `describe` gives, or its `state_dict` (an agent, a network), or its public
-values. What it gives as `origin` is kept in clear: of a learned option, the run in which it was learned.
+values. Its `origin` is kept in clear: of a learned option, the run that trained it.
 
 A folder from a stranger runs none of his own code, unless its description is trusted. The names in it, `module:name`,
 are looked up in tables, and nothing is imported to find out: this package's environments, wrappers and settings; the
@@ -42,7 +42,7 @@ from hrl_escape.settings import Settings
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
 UNKNOWN = {"unknown": True}
-"""Stands for an argument that no attribute keeps."""
+"""Placeholder for an argument that no attribute keeps."""
 PARTS_GROUP = "hrl_escape.parts"
 """Entry points of other packages: environments, wrappers, settings and functions that run folders may name."""
 
@@ -90,12 +90,12 @@ _COMPUTING = (
 
 @runtime_checkable
 class DescribedEnv(Protocol):
-    """Environment, or an argument of one, that gives the arguments by which an equal one is made."""
+    """Environment, or an argument of one, that returns the arguments to make an equal one."""
 
     def describe(self) -> Mapping[str, Any]:
         """Return the arguments that decide its numbers, as JSON values.
 
-        A large argument may be `{"id": hash, "content": value}`: runs are then compared by the hash alone, and the
+        A large argument can be `{"id": hash, "content": value}`: runs are then compared by the hash alone, and the
         environment is made again from the value.
         """
         ...
@@ -119,11 +119,11 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
 
 
 def check_spec(spec: AgentSpec, env: gymnasium.Env) -> None:
-    """Require that an environment's options, memory and hierarchy are those of an agent's spec.
+    """Require that an environment's options, memory and hierarchy agree with an agent's spec.
 
     Args:
-        spec: options that it leaves at their defaults are not checked, but for the primitives among the choices.
-        env: ordinary environment in which the agent trains; one of another package may have options of its own.
+        spec: options that it leaves at their defaults are not checked, except primitives among the choices.
+        env: ordinary environment for training; one of another package can have options of its own.
 
     Raises:
         AgentSettingsError: they disagree; the message gives both ways out.
@@ -169,7 +169,7 @@ def _write_needed(spec: AgentSpec, wanted: Mapping[str, Any]) -> str:
 
 
 def describe_many(env: Any) -> dict[str, Any]:
-    """Description of a vector environment, or of streams, a JSON value; it is compared, and made by nobody."""
+    """Description of a vector environment, or of `ManyEnvs`, a JSON value for comparison only."""
     wrappers = []
     while isinstance(env, VectorWrapper):
         wrappers.append(name_part(type(env)))
@@ -189,7 +189,7 @@ def make_described_env(description: Mapping[str, Any], wrap: Callable[[gymnasium
         trust: also import and call what is in no table of known parts; the description then runs any code it names.
 
     Raises:
-        TrustError: it names other code, and is not trusted; nothing was imported.
+        TrustError: it names other code, and is not trusted; no module was imported.
         CheckpointError: the description is damaged, or does not suffice to make the environment.
     """
     try:
@@ -213,7 +213,7 @@ def list_foreign(description: Any) -> list[Any]:
 
 
 def hash_large_parts(value: Any, kinds: type | tuple[type, ...] = object) -> Any:
-    """Copy of a JSON value in which the hash of a large argument, whose content is of some kind, stands for it."""
+    """Copy a JSON value, and replace large arguments whose content is of some kind by their hash."""
     if isinstance(value, Mapping):
         if value.keys() == {"id", "content"} and isinstance(value["content"], kinds):
             return value["id"]
@@ -228,7 +228,7 @@ def compute_digest(value: Any) -> str:
 
 
 def _list_names(value: Any) -> Iterator[Any]:
-    """Names of the code by which a described value is made; `_revive` makes it."""
+    """Names of the code that makes a described value, see `_revive`."""
     if isinstance(value, list):
         for part in value:
             yield from _list_names(part)
@@ -243,10 +243,10 @@ def _list_names(value: Any) -> Iterator[Any]:
 
 
 def load_part(name: Any, trust: bool) -> Any:
-    """The class or function that a name, `module:name`, stands for.
+    """Return the class or function of a name, `module:name`.
 
     Raises:
-        TrustError: it is in no table of known parts, and is not trusted; nothing was imported.
+        TrustError: it is in no table of known parts, and is not trusted; no module was imported.
     """
     load = find_part(name)
     if load is None and not trust:
@@ -331,7 +331,7 @@ def _list_code(function: Any) -> dict[str, Any]:
 
 
 def _list_instructions(code: Any) -> list[Any]:
-    """Instructions of code with the names and constants that they use, and those of functions made in it."""
+    """Instructions of code with their names and constants, including functions made in it."""
     constants = [_list_instructions(each) if inspect.iscode(each) else _make_plain(each) for each in code.co_consts]
     return [code.co_code.hex(), list(code.co_names), constants]
 
@@ -373,7 +373,7 @@ def name_part(part: Any) -> str:
 
 
 def find_part(name: Any) -> Callable[[], Any] | None:
-    """Loader of the part of a name; None where the name is not known. Nothing is imported to answer."""
+    """Loader of the part of a name, or None if the name is not known. It imports no module."""
     return next((load for known, load in _list_parts() if known == name), None)
 
 

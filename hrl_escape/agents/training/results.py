@@ -31,7 +31,7 @@ METRICS = {
     "train/length": "primitives in a training episode",
     "train/decisions": "decisions in a training episode",
     "train/success": "1 if the episode succeeded, else 0; absent where the environment reports no success",
-    "train/episodes": "episodes that ended in a segment of training in many streams",
+    "train/episodes": "episodes that ended in a segment of training in many environments",
     "train/successes": "episodes that ended in a segment with success; absent where none of them reports it",
     "train/end": "how the episode ended: terminated, truncated, or budget where the run's budget cut it",
     "train/loss": "mean loss of the updates in the episode",
@@ -41,7 +41,7 @@ METRICS = {
     "train/value_loss": "half the squared error of the values of ppo, dac, ppoc and a2oc, in scaled rewards",
     "train/high_loss": "loss of dac's choice of options",
     "train/high_policy_loss": "clipped objective of dac's choice of options, negated",
-    "train/high_value_loss": "half the squared error of the values by which dac chooses options, in scaled rewards",
+    "train/high_value_loss": "half the squared error of dac's values of options, in scaled rewards",
     "train/choice_loss": "loss of ppoc's policy over options",
     "train/choice_entropy": "mean entropy of dac's and ppoc's choice of options, in nats",
     "train/termination_loss": "loss of the terminations of ppoc and a2oc",
@@ -58,7 +58,7 @@ METRICS = {
     "train/interventions": "bits that hrc has intervened on",
     "train/intervention_cost": "cost of hrc's search so far, see its page",
     "train/termination": "mean probability that the running option ends",
-    "train/skill_reward": "mean reward of diayn's skills for being told apart, in nats",
+    "train/skill_reward": "mean reward of diayn's skills for being distinguishable, in nats",
     "train/discriminator_loss": "cross entropy of diayn's discriminator",
     "train/option_duration": "mean decisions that a learned option lasts, over its latest 500 runs",
     "train/option_entropy": "entropy of the learned option that acts, in nats, over the same runs",
@@ -92,7 +92,7 @@ class EpisodeRecord:
     decisions: int  # decisions trained for, at its end
     episode_return: float  # undiscounted sum of primitive rewards
     length: int  # primitives in it
-    success: bool | None  # info["is_success"], else info["success"], at its end; None where it has neither
+    success: bool | None  # info["is_success"], else info["success"], at its end, or None if it has neither
     end: str  # `terminated`, `truncated`, or `budget` where the run's budget cut it
     seconds: float = field(compare=False)
     """Seconds of training at its end, without evaluations; left out of comparisons."""
@@ -100,14 +100,14 @@ class EpisodeRecord:
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """A stretch of training in many streams, with the episodes that ended in it."""
+    """A segment of training in many environments, with the episodes that ended in it."""
 
-    primitives: int  # primitives trained for, at its end, of all streams together
+    primitives: int  # primitives trained for, at its end, of all environments together
     decisions: int  # decisions trained for, at its end
     episodes: int  # episodes that ended in it
-    successes: int | None  # of these episodes; None where none of them reports its success
-    mean_return: float | None  # their mean undiscounted return; None where none ended
-    mean_length: float | None  # their mean number of primitives; None where none ended
+    successes: int | None  # of these episodes, or None if none of them reports its success
+    mean_return: float | None  # their mean undiscounted return, or None if none ended
+    mean_length: float | None  # their mean number of primitives, or None if none ended
     seconds: float = field(compare=False)
     """Seconds of training at its end, without evaluations; left out of comparisons."""
 
@@ -147,7 +147,7 @@ _ROWS: dict[str, tuple[type, dict[str, str]]] = {
         "decision_counts": "eval/decision_counts", "successes": "eval/successes", "progress": "eval/progress",
         "seconds": "time/eval_seconds"}),
 }
-"""Kind of a row -> what it tells of, and the name in the row of each field."""
+"""Kind of a row -> its subject, and the name in the row of each field."""
 
 
 def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluation:
@@ -179,13 +179,13 @@ class TrainResult:
     planner_calls: int
     """Requests to planners behind options, by `OptionsEnv.planning_total`; 0 where the environment is a vector."""
     evaluations: tuple[Evaluation, ...]  #: the first before training, the last after it
-    episodes: tuple[EpisodeRecord, ...]  #: every training episode; none in a run of many streams
+    episodes: tuple[EpisodeRecord, ...]  #: every training episode; none in a run of many environments
     seconds: float = field(compare=False)  #: wall time of training, evaluations excluded
     planner_seconds: float = field(compare=False)  #: share of it spent in planners
-    segments: tuple[SegmentRecord, ...] = ()  #: stretches of training, in a run of many streams
+    segments: tuple[SegmentRecord, ...] = ()  #: segments of training, in a run of many environments
     agent: Agent | None = field(default=None, compare=False, repr=False)
-    """The trained agent; None in a result read from a file."""
-    folder: Path | None = field(default=None, compare=False)  #: of the run; None where it left no files
+    """The trained agent, or None in a result read from a file."""
+    folder: Path | None = field(default=None, compare=False)  #: of the run, or None if it left no files
     resumed_at: int = field(default=0, compare=False)  #: primitives that its folder held already; 0 in a new run
 
     def __repr__(self) -> str:
@@ -211,9 +211,9 @@ class TrainResult:
 
     @property
     def first_escape(self) -> int | None:
-        """Primitives trained for at the end of the first episode that succeeded; None without one.
+        """Primitives trained for at the end of the first episode that succeeded, or None without one.
 
-        In many streams it is the end of the segment in which it did.
+        With many environments it is the end of the segment of that episode.
         """
         if self.segments:
             return next((segment.primitives for segment in self.segments if segment.successes), None)
@@ -243,7 +243,7 @@ class TrainResult:
         Args:
             metric: as for `curve`.
             against: as for `curve`.
-            beside: further runs to draw in the same axes.
+            beside: more runs to draw in the same axes.
 
         Returns:
             A matplotlib figure that belongs to no window; it shows itself in a notebook, and `figure.savefig(path)`
@@ -284,4 +284,4 @@ def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:
         return key, dataclasses.replace(read_record(TrainResult, content), folder=Path(folder))
     except (EscapeError, AttributeError, KeyError, TypeError) as error:
         raise CheckpointError(f"{path}: this result of a run is damaged ({describe_damage(error)}). Delete the folder "
-                              "to start anew") from error
+                              "to start again") from error

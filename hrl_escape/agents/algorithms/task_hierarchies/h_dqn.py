@@ -47,44 +47,45 @@ class HDqnSettings(AgentSettings):
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform with zero bias, as in Keras; or orthogonal with zero bias,
+    usual for PPO."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     values: Literal["network", "table"] = "network"
     """Networks over the observation and a one-hot goal, or tables over rounded observations."""
     patience: Annotated[int, Range(0)] = 100
-    """Primitives after which a goal is given up; 0 never gives up."""
+    """Most primitives for a goal; 0 sets no limit."""
     worker_epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """The worker explores with this epsilon for a goal that it always reaches, with 1 for one that it never does."""
+    """Epsilon of the worker for a goal that it always reaches; it is 1 for a goal that it never reaches."""
     success_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
     """Weight of the latest call in the running success rate of a goal."""
     worker_warmup: Annotated[int, Range(0)] = 1_000
-    """Primitives for which goals are named at random and the manager does not learn."""
+    """Primitives at the start with random goals and without learning of the manager."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay, at each level."""
     batch_size: Annotated[int, Range(1)] = 32
@@ -102,7 +103,7 @@ class HDqnSettings(AgentSettings):
 class HDqn(CallRunner):
     """Q-learning at two levels of time.
 
-    The worker, told goal g, is paid f = gamma^(k-1) on reaching g by an action of k primitives, which ends its call:
+    The worker with goal g receives f = gamma^(k-1) on reaching g by an action of k primitives, which ends its call:
 
         Q1(s, a; g) <- f + gamma^k (1 - reached or terminated) max over a' of Q1(s', a'; g)
 
@@ -110,7 +111,7 @@ class HDqn(CallRunner):
 
         Q2(s, g) <- F + gamma^k (1 - terminated) max over g' of Q2(s', g')
 
-    s is the state in which g was chosen. A call that is given up, or cut, bootstraps at both levels.
+    s is the state at the choice of g. A call that is given up, or cut, bootstraps at both levels.
 
     Args:
         goals: by default those that `make_goals` finds in the observation space. Where they come with a policy, the

@@ -158,7 +158,7 @@ class HUct(CallRunner):
         return choose_best(self.plan(get_task(stack), seen, rng), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Store the outcome, if there is no simulator."""
+        """Store the outcome, unless the agent has a simulator."""
         if self._simulator is None:
             key = self._discretise(step.seen.observation), step.action
             after, mask, _ = step.next_seen

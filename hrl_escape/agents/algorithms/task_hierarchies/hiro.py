@@ -126,7 +126,7 @@ class Hiro(CallRunner):
         manager: Q2(s, g~) <- R + gamma^k max over g' of Q2(s', g'),
                  g~ = argmax over goals of sum over i of log pi(a_i | s_i, g_i),  g_(i+1) = h(s_i, g_i, s_(i+1))
 
-    pi is the softmax of Q1 over legal primitives. The sum is over the states in which primitives were chosen; the goal
+    pi is the softmax of Q1 over legal primitives. The sum is over the states where primitives were chosen; the goal
     that was set wins ties. The paper draws ten candidates; here every goal is one.
 
     Args:

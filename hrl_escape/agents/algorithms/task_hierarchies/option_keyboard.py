@@ -131,7 +131,7 @@ class OptionKeyboard(TabularRunner):
     """Three kinds of learning from each primitive and each chord.
 
         skill i   psi_i(s, a) <- phi + gamma^k psi_i(s', argmax over a' of psi_i(s', a')[i]), up to the first event
-        chord w   plays argmax over a of max over i of psi_i(s, a) w; nothing is learned
+        chord w   plays argmax over a of max over i of psi_i(s, a) w, without learning
         player    Q(s, w) <- R + gamma^k max over w' of Q(s', w')
 
     phi is 1 for the events that happen, discounted within an option of the environment. Every skill learns from every

@@ -49,7 +49,8 @@ class RMaxqSettings(AgentSettings):
     """m, samples that make a pair of state and primitive known. 1 is enough for deterministic outcomes; more are needed
     under noise."""
     optimistic_value: float = 100.0
-    """V_max, value of an unknown pair in units of return. No true value may be higher; higher values explore more."""
+    """V_max, value of an unknown pair in units of return. It must bound all true values from above; higher values
+    explore more."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
     """Tolerance of value iteration, which stops when all changes are smaller. Smaller values are more precise and
     slower."""
