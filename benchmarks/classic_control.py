@@ -4,11 +4,11 @@
     python -m benchmarks.classic_control --tasks CartPole-v1   # one task
     python -m benchmarks.classic_control --quick               # seconds: shows that everything runs
 
-Agents run at their default settings, `dqn-tuned` at those that were chosen for the task on seeds 500 to 504, `sb3-dqn`
-and `sb3-ppo` (Stable-Baselines3) at those of RL Baselines3 Zoo, all for the same number of primitives. `final` is the
-mean return of the greedy policy when the budget ends, `best` that of its best evaluation on the way: reaching a
+Agents run at their default settings, `dqn-tuned` at settings chosen for the task on seeds 500 to 504, `sb3-dqn` and
+`sb3-ppo` (Stable-Baselines3) at the settings of RL Baselines3 Zoo, all for the same number of primitives. `final` is
+the mean return of the greedy policy at the end of the budget, and `best` its best evaluation on the way: reaching a
 threshold is not holding it. Comparisons are paired by seed. Finished runs are kept, a line each, in the file `--out`;
-the command goes on where it was stopped.
+the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Task:
 
     Attributes:
         primitives: budget of a run.
-        threshold: mean return from which the task counts as solved.
+        threshold: smallest mean return of a solved task.
         tuned: arguments of `stable_baselines3.DQN`, from RL Baselines3 Zoo's `hyperparams/dqn.yml`.
         settings: of `dqn-tuned`, where they are not the defaults.
         ppo: arguments of `stable_baselines3.PPO`, from the Zoo's `hyperparams/ppo.yml`; rates and clips fall to 0.
@@ -182,9 +182,9 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
 def compare(rows: Sequence[dict[str, Any]]) -> str:
     """A table of differences between the final returns of two contenders with the same seed.
 
-    `all` is the mean over a run's evaluations, which says who learned sooner. Each difference has Student's interval
-    and the test of signs; the verdict tells two contenders apart where Holm's correction
-    over all rows leaves p below 0.05.
+    `all` is the mean over a run's evaluations, which shows earlier learning. Each difference has Student's interval
+    and the test of signs; the verdict distinguishes two contenders if Holm's correction over all rows leaves p below
+    0.05.
 
     Args:
         rows: finished runs; a pair has those seeds that both contenders ran.

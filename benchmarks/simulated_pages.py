@@ -1,4 +1,4 @@
-"""Pages of studies made from simulated runs in which there is nothing to find, and whether one says that there is.
+"""Pages of studies made from simulated runs without any difference, and whether one reports a difference.
 
 All agents are alike, no factor does anything, and so any difference or effect that a page shows is wrong. Where a page
 places something on a scale, it is wrong if its interval leaves the truth out.
@@ -68,7 +68,7 @@ def make_run(agent: str, room: str, seed: int, value: float) -> RawRun:
 
 
 def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
-    """The page of the paper answers a claim on which learners and chance are alike; 10 runs.
+    """The page of the paper answers a claim although all agents equal the random policy; 10 runs.
 
     These are the claims on differences between agents; shares of runs are compared with fixed levels.
     """
@@ -122,7 +122,7 @@ def is_wrong_of_sufficiency(draw: Draw, rng: np.random.Generator) -> bool:
 
 
 def is_wrong_of_fresh_effects(draw: Draw, rng: np.random.Generator) -> bool:
-    """The same page says that fresh runs, in which no factor does anything, repeat or reverse a published effect."""
+    """The same page reports that fresh runs without any effect repeat or reverse a published effect."""
     published = make_screening(draw, rng, "abcde", 5, lambda corrected: float(corrected["exploration"]))
     findings = Findings(published, compute_effects(published, measure_change), [], {}, [])
     told = tell_fresh_runs(make_screening(draw, rng, "fghij", 2), findings)
@@ -161,7 +161,7 @@ def is_wrong_of_rungs(draw: Draw, rng: np.random.Generator) -> bool:
 
 
 def is_wrong_of_numbers(draw: Draw, rng: np.random.Generator) -> bool:
-    """The ladder's page says that the numbers of buttons tell something, where any order is as good."""
+    """The ladder's page reports that the numbers of buttons matter, although any order is as good."""
     return "numbers tell something" in tell_rungs(draw, rng)
 
 
@@ -209,7 +209,7 @@ def is_wrong_of_price(draw: Draw, rng: np.random.Generator) -> bool:
 
 
 def is_wrong_of_chance(draw: Draw, rng: np.random.Generator) -> bool:
-    """The same page tells two learners that are chance from chance; 10 runs each."""
+    """The same page distinguishes two random policies from the random policy; 10 runs each."""
     own, other, chance = (make_price_runs(agent, draw(rng, RUNS).tolist(), 1) for agent in ("one", "other", "random"))
     told = [compare_with_chance(learner, chance, "one", BUDGET // 2) for learner in (own, other)]
     return any("not told apart" not in words for words in told)
@@ -228,7 +228,7 @@ def make_scaling_run(agent: str, task: tuple[str, int, str], run: int, score: fl
 
 
 def is_wrong_of_told(draw: Draw, rng: np.random.Generator) -> bool:
-    """The page names a price of what a structure learner is told, where it matters to none; 10 runs a label."""
+    """The page names a price of the knowledge of a structure agent, where it matters to none; 10 runs a label."""
     runs = [make_scaling_run(spec.label, task, run, float(score)) for task in TOLD_TASKS for spec in TOLD
             for run, score in enumerate(draw(rng, RUNS))]
     return any(cost.is_shown for cost in compute_told_costs(runs))

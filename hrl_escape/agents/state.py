@@ -50,7 +50,7 @@ class Kept:
     attribute: str  #: its name, or a path through parts such as `noise.state`
     key: str = ""  #: in the tree; by default the attribute's name without underscores before it
     pack: Callable[[Any], Any] | None = None  #: from a value that is not None to its form in the tree
-    unpack: Callable[[Any], Any] | None = None  #: from that form to the value; by default that of `restore_value`
+    unpack: Callable[[Any], Any] | None = None  #: from that form to the value; by default as `restore_value`
     is_left_out: bool = False  #: the tree has no such key while the attribute is None
 
     def __post_init__(self) -> None:

@@ -83,7 +83,7 @@ class LegBounds:
         return areas
 
     def get_area(self, goal: Goal) -> tuple[Footprint, float]:
-        """Return the footprint of a goal, and the largest distance in m from it at which the body's axis reaches it."""
+        """Return the footprint of a goal, and the largest distance, m, of the body's axis that reaches it."""
         area = compute_goal_area(goal, self._instance)
         return area.footprint, self.reach if self._is_before(goal) or isinstance(goal, PressGoal) else area.reach
 
@@ -115,7 +115,7 @@ class LegBounds:
         return total
 
     def bound_leg(self, last: Operator | None, then: Operator | None) -> int:
-        """Bound the leg from operator `last` to operator `then`; None stands first for any start, last for the exit."""
+        """Bound the leg from operator `last` to operator `then`; as `last`, None is any start, as `then` the exit."""
         key = (last and last.name, then and then.name)
         if key not in self._known:
             self._known[key] = self._compute_leg(last, then)

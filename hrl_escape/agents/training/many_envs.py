@@ -77,7 +77,7 @@ class VectorManyEnvs:
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
         self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers may have a state, too
-        self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (environments,) each
+        self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (envs,) each
         set_option_discount(env, gamma)
 
     @property

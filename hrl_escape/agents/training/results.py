@@ -243,7 +243,7 @@ class TrainResult:
         Args:
             metric: as for `curve`.
             against: as for `curve`.
-            beside: more runs to draw in the same axes.
+            beside: more runs to plot in the same axes.
 
         Returns:
             A matplotlib figure that belongs to no window; it shows itself in a notebook, and `figure.savefig(path)`
