@@ -29,7 +29,7 @@ from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, name_goal
 MOST_TRIED = 20_000
 """Largest number of puzzle states to try acts in, some seconds."""
 NO_STATE = -(1 << 63)
-"""Stands for the state after an act that does not reach its goal: no puzzle has this word."""
+"""Placeholder for the state after an act that does not reach its goal: no puzzle has this word."""
 _SIGNS = {"grip": 1, "release": -1}
 BatchGoal: TypeAlias = PressGoal | GripGoal | ExitGoal
 

@@ -301,7 +301,7 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
         UnsupportedError: a room needs more than a batch's options support; raised before any field is computed.
     """
     if any(instance.inner_doors and not isinstance(instance.puzzle, Doored) for instance in instances):
-        raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
+        raise UnsupportedError("batched options do not support cells that shut again; use OptionsEnv over one room")
     aims = make_aims(instances, device)
     each = [compute_instance_fields(instance) for instance in instances]
     unique = {id(fields): fields for fields in each}

@@ -472,8 +472,8 @@ def _read_options(options: OptionDegradation | None, option_set: str) -> OptionD
     chosen = option_set if options is None else options.option_set
     check_option_set(chosen)
     if chosen == "press-reactive":
-        raise UnsupportedError("option_set = 'press-reactive': batched options remember the cells they were in, so "
-                               "they are no functions of the state; OptionsEnv has such options, in one room")
+        raise UnsupportedError("option_set = 'press-reactive': batched options choose by past cells, too, not by the "
+                               "state alone; use OptionsEnv over one room")
     if chosen not in BATCHED_SETS:
         raise UnsupportedError(f"option_set = {chosen!r} has no batched form: a batch has {join_words(BATCHED_SETS)}; "
                                "OptionsEnv has every option set, in one room")

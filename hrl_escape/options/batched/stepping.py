@@ -2,8 +2,8 @@
 
 The loop of `OptionsEnv.step`, turned inside out for many rooms, by the batched engine's rules. An option's policy is
 greedy: the primitive that leads to the least cost-to-go. Moves are swept exactly, with walls and press margins; the
-cost-to-go of their ends is interpolated (`cost_to_go.py`). Where fields mislead, a room remembers the costs found in
-its last cells, so that it does not circle (learning real-time A*, Korf 1990).
+cost-to-go of their ends is interpolated (`cost_to_go.py`). Where fields mislead, stored costs of the last cells prevent
+circles (learning real-time A*, Korf 1990).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ PLAN_LENGTH = 64
 ORDER_LENGTH = 16
 """Most goals of one option that a room keeps; it asks for the rest of a longer order once these are reached."""
 NOT_ASKED = -1
-"""Stands for a goal that the planner must still choose: the next one of an option that presses ancestors first."""
+"""Placeholder for a goal that the planner must still choose: the next one of an option that presses ancestors first."""
 PLAN_AFTER = 4
 """Primitives without progress before an option follows a plan instead of its field."""
 FAIL_AFTER = 120
@@ -307,7 +307,7 @@ def _draw_uniform(settings: StepSettings, option: Tensor, purpose: int, state: T
 # --- the greedy policy ----------------------------------------------------------------------
 
 MEMORY = 8
-"""Number of cells whose cost a room remembers."""
+"""Number of recent cells with stored costs, per room."""
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them
 
 
