@@ -336,9 +336,9 @@ class _Legs(Mover):
 
     def _keep_clear(self, places: NDArray[np.float64], avoided: _Discs, solids: _Discs
                     ) -> Iterator[NDArray[np.float64]]:
-        """Ways with the clearance that is asked for, half and a quarter of it.
+        """Yield ways with the requested clearance, half and a quarter of it.
 
-        But for straight lines out of the first place and into the last; where none leads away from a solid, a way may
+        Straight lines out of the first place and into the last are exempt. If none leads away from a solid, a way can
         come as near to it as that end is.
         """
         bare = [*avoided, *solids]

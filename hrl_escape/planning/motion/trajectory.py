@@ -167,8 +167,8 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         The trajectory.
 
     Raises:
-        ConfigError: nothing moves, a joint would exceed its limits (it can begin up to `SOFT_LIMIT` beyond them), its
-            effort does not hold the arm, or the clearance is negative.
+        ConfigError: the plan has no motion, a joint would exceed its limits (it can begin up to `SOFT_LIMIT` beyond
+            them), its effort does not hold the arm, or the clearance is negative.
         UnsupportedError: no trajectory presses and pushes what the plan does.
     """
     if not (isinstance(clearance, (int, float)) and 0 <= clearance < math.inf):
