@@ -216,7 +216,7 @@ def _describe_gap(summary: Summary) -> list[str]:
     leader = find_leader(summary.agents)
     missing = sum(leader.gap)
     if missing <= 0.0005:
-        return [f"`{leader.label}` is as efficient as the best known escape: nothing is missing."]
+        return [f"`{leader.label}` is as efficient as the best known escape."]
     way = f"`{leader.label}` has an efficiency of {leader.efficiency.value:.3f}, where the best known escape has 1"
     if leader.gap.options > 0.0005:
         return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
