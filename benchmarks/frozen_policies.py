@@ -4,7 +4,7 @@
 
 Trains `smdp-dqn+primitives`, at its defaults and at those before them (`studies/tuning.toml`). On the way it plays
 greedy episodes and looks at the choices of each that fails: a policy that comes back to a state goes round
-for ever, for it has no memory and the room no chance. Beside it stand the training episodes since the last look, whose
+for ever, as policy and room are deterministic. It is compared with the training episodes since the last look, whose
 exploration leads out of any cycle.
 """
 

@@ -4,7 +4,7 @@
     python -m benchmarks.gymnasium_suite Gymnasium                       # some five minutes
     python -m benchmarks.gymnasium_suite Gymnasium --ids PaperTwoButton Taxi
 
-`tests/envs/test_envs.py` checks the API, the passive checker, determinism and pickling; nothing of it is copied here.
+`tests/envs/test_envs.py` checks the API, the passive checker, determinism and pickling. It is not copied here.
 Gymnasium itself is the installed one. Where an id has wrappers, such as options, `check_env` also checks it with them.
 Exits with 1 if a test fails.
 """

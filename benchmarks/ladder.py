@@ -7,8 +7,8 @@
     python -m benchmarks.ladder costs
 
 To freeze is to generate the rooms of every rung, to skip those that look alike, and to write the manifest's roots. A
-manifest needs a name and, for each rung, a name and a room configuration; counts have defaults. Whoever changes a
-frozen benchmark gives it another name.
+manifest needs a name and, for each rung, a name and a room configuration; counts have defaults. Give a changed
+frozen benchmark another name.
 
 In a calibration every agent is tested in the same few test rooms. Learners train in each of them from nothing, or with
 the protocol generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is

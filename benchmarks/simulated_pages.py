@@ -110,7 +110,7 @@ def is_wrong_of_paths(draw: Draw, rng: np.random.Generator) -> bool:
 
 
 def is_wrong_of_sufficiency(draw: Draw, rng: np.random.Generator) -> bool:
-    """The same page says whether one correction suffices, where each of two brings just the share that parts both."""
+    """The same page decides whether one correction suffices, if each of two has exactly the limiting share."""
     first, second, *_ = get_factors("sarsa")
 
     def respond(corrected: dict[str, bool]) -> float:
