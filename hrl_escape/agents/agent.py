@@ -1,8 +1,8 @@
-"""The Agent protocol, its settings and the SMDP transition: the language between learners and environments.
+"""The `Agent` protocol, its settings and the SMDP transition: the interface between agents and environments.
 
 Agents learn from SMDP transitions (Sutton, Precup and Singh 1999, section 3): one decision runs k >= 1 primitives. A
-flat environment is the case k = 1, so each algorithm is written once. This module knows Gymnasium and `info`, neither
-rooms nor options.
+flat environment is the case k = 1, so each algorithm is written once. This module depends on Gymnasium and `info`,
+not on rooms or options.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hrl_escape.step_info import read_option, read_payment, read_trace
 
 @dataclass(frozen=True)
 class AgentSettings(Settings):
-    """Base of agents' settings: impossible values raise `AgentSettingsError`."""
+    """Base class of agent settings; invalid values raise `AgentSettingsError`."""
 
     _error = AgentSettingsError
 
@@ -65,9 +65,9 @@ class LearningSettings(AgentSettings):
 # --- the protocol -----------------------------------------------------------------------
 
 CATALOGUE = "hrl_escape.agents.algorithms"
-SUCCESS_KEYS = ("is_success", "success")
-"""Keys of `info` that may hold an episode's success; the first that has a value counts."""
 """Package of the algorithms, one file each, named like the file."""
+SUCCESS_KEYS = ("is_success", "success")
+"""Keys of `info` for an episode's success; the first with a value counts."""
 
 
 class RunningCall(NamedTuple):
@@ -81,15 +81,14 @@ class RunningCall(NamedTuple):
 
 
 class Agent(Stateful, ABC):
-    """A learner. Derive from it, write the abstract members, declare its `STATE`, and `train` can run it.
+    """Base class of agents. A subclass defines the abstract members and declares its `STATE`; `train` can then run it.
 
     `STATE` names the attributes that learning depends on: weights, optimiser, replay, counters, generators; see
     `hrl_escape.agents.state`.
 
-    For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`), is constructed
-    as `Class(observation_space, action_space, seed, settings)` with Discrete actions and a seed that decides all of its
-    randomness follows (its own text names only what else it takes), and is published under the entry-point group
-    `hrl_escape.agents`:
+    For `make_agent` by name, a class also has `Settings`, a frozen dataclass such as an `AgentSettings`. It is
+    constructed as `Class(observation_space, action_space, seed, settings)` with Discrete actions; the seed determines
+    all of its randomness. It is published under the entry-point group `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]
         my-agent = "my_package.my_module:MyAgent"
@@ -106,14 +105,14 @@ class Agent(Stateful, ABC):
     """Name -> settings, in addition to `default`, which is `Settings()`; prefixed with `smdp-` for agents over
     options."""
     needs_trace: ClassVar[bool] = False
-    """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
+    """True if the agent learns from `SMDPTransition.trace`; `train` then turns traces on in environments of options."""
     is_markov: bool = False
-    """`act_greedy` is a function of the observation and the legal actions: it draws nothing and remembers nothing."""
+    """True if `act_greedy` is a function of the observation and the legal actions, without randomness and memory."""
     settings: Any
     """The settings that the agent was made with."""
     origin: Mapping[str, Any] = MappingProxyType({})
-    """Training that made it what it is, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's
-    folder, empty without one), `seed` and `primitives`; empty where there was none."""
+    """Training of the agent, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's folder, empty
+    without one), `seed` and `primitives`; empty for an untrained agent."""
     privileges: tuple[str, ...] = ()
     """Information that it is given and a flat agent is not."""
     _evaluation: tuple[Any, ...] | None = None
@@ -122,7 +121,7 @@ class Agent(Stateful, ABC):
     """Number of actions of the space it was made with, or None if its class is constructed in another way."""
 
     def __init_subclass__(cls, **named: Any) -> None:
-        """Name an algorithm like its file, any other class like itself unless it says one; take up its `Settings`."""
+        """Set the default name, of the file for an algorithm and of the class otherwise, and find `Settings`."""
         super().__init_subclass__(**named)
         if (said := inspect.get_annotations(cls).get("settings")) and "Settings" not in cls.__dict__:
             declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
@@ -139,7 +138,7 @@ class Agent(Stateful, ABC):
                 cls.name = cls.__name__
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
-        """Note the number of actions."""
+        """Record the number of actions."""
         made = super().__new__(cls)
         space = named.get("action_space", arguments[1] if len(arguments) > 1 else None)
         if isinstance(space, gymnasium.spaces.Discrete):
@@ -159,8 +158,8 @@ class Agent(Stateful, ABC):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Choose an action for evaluation, without any change of the agent.
 
-        A policy that is random by nature draws from `rng`, never from the agent's own generator, so that
-        evaluating twice gives the same numbers and evaluating at all does not disturb learning.
+        A stochastic policy draws from `rng`, never from the agent's own generator. Evaluating twice then gives the same
+        numbers, and evaluation does not change learning.
         """
 
     def load_state_dict(self, state: StateTree) -> None:
@@ -169,13 +168,13 @@ class Agent(Stateful, ABC):
         self._evaluation = None
 
     def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
-        """Memory of the episode of an evaluation, which is known by its generator, or None in a new one."""
+        """Return the memory of an evaluation's episode, identified by its generator, or None in a new one."""
         return self._evaluation[1:] if self._evaluation is not None and self._evaluation[0] is rng else None
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027
         """Receive the outcome of the latest `act_greedy` with this generator in evaluation; by default do nothing.
 
-        For agents that count primitives within an episode: a decision may last several.
+        For agents that count primitives within an episode: a decision can last several.
         """
 
     def make_policy(self) -> Policy:
@@ -184,41 +183,41 @@ class Agent(Stateful, ABC):
 
     @abstractmethod
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn from one decision; returns numbers to log, such as the loss, or nothing.
+        """Learn from one decision and return numbers to log, such as the loss.
 
         Transitions come in order, each from the state reached by the one before, until one is terminated or
         truncated.
         """
 
     def compute_values(self, observation: Any) -> NDArray | None:
-        """Q(s, .) at an observation in units of return, (actions,), or None without action values."""
+        """Return Q(s, .) at an observation in units of return, (actions,), or None without action values."""
         return None
 
     def compute_preferences(self, observation: Any) -> NDArray | None:
-        """Numbers that the greedy policy takes the argmax of, (actions,), before any mask, or None without them.
+        """Return the unmasked numbers whose argmax is the greedy action, (actions,), or None without them.
 
         For agents with preferences other than values, such as the logits of a policy.
         """
         return None
 
     def compute_state_value(self, observation: Any) -> float | None:
-        """V(s) of a critic, in units of return, or None without one."""
+        """Return V(s) of a critic, in units of return, or None without one."""
         return None
 
     def list_calls(self) -> tuple[RunningCall, ...]:
-        """Calls behind the latest choice, in learning or evaluation, the outermost first; none where nothing nests."""
+        """Return the nested calls behind the latest choice, in learning or evaluation, the outermost first."""
         return ()
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Policies that the agent learned, each with a beginning and an end of its own.
+        """Return the learned policies of the agent, each with its own initiation and termination.
 
-        `hrl_escape.options.make_learned_options` makes options of them. By default the whole greedy policy, which never
+        `hrl_escape.options.make_learned_options` makes options of them. The default is the greedy policy, which never
         ends by itself.
         """
         return (OptionPolicy("policy", self, lambda: _WholeRun(self), is_markov=self.is_markov),)
 
     def get_graph(self) -> frozenset[tuple[int, int]] | None:
-        """Edges (parent, child) of a learned dependency graph, by component of the observation, or None without one."""
+        """Return the edges (parent, child) of a learned graph of observation components, or None without a graph."""
         return None
 
 
@@ -230,38 +229,38 @@ class FixedPolicy(Agent):
     settings: Any = DiscountSettings()
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Same choice as `act`."""
+        """Return the choice of `act`."""
         return self.act(observation, action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn nothing and log nothing."""
+        """Ignore the decision and return no numbers."""
         return {}
 
 
-# --- what an agent learned, as data -----------------------------------------------------
+# --- learned policies ------------------------------------------------------------------
 
 
 class OptionRun(Protocol):
-    """One run of a learned policy, from its start on."""
+    """One run of a learned policy, from its start."""
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator, /) -> int:
         """Choose an action, as evaluation does; random choices are drawn from `rng`."""
         ...
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_], /) -> float:
-        """Probability beta(s') of ending at the state that the latest action led to."""
+        """Return the probability beta(s') of ending at the state after the latest action."""
         ...
 
 
 @dataclass(frozen=True)
 class OptionPolicy:
-    """Something that an agent learned to do, with its own beginning and end.
+    """A learned policy of an agent, with its own initiation and termination.
 
     It acts by the present parameters of the agent, which further learning changes.
     """
 
     name: str  #: unique among the policies of an agent
-    agent: Agent  #: whose it is
+    agent: Agent  #: its agent
     begin: Callable[[], OptionRun]  #: makes a run
     can_start: Callable[[Any, NDArray[np.bool_]], bool] = lambda observation, action_mask: True
     """(observation, action mask) -> whether it may start there."""
@@ -275,14 +274,14 @@ class OptionPolicy:
 
 @dataclass(frozen=True)
 class MarkovRun:
-    """A run that remembers nothing, by two functions."""
+    """A run without memory, defined by two functions."""
 
     act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int]
     compute_termination: Callable[[Any, NDArray[np.bool_]], float]  # a truth value will do
 
 
 class _WholeRun:
-    """The greedy policy of an agent for as long as it is asked."""
+    """The greedy policy of an agent, which never ends by itself."""
 
     def __init__(self, agent: Agent) -> None:
         self._policy, self._has_begun = agent.make_policy(), False
@@ -350,7 +349,7 @@ def read_success(info: Mapping[str, Any]) -> bool | None:
         Success, or None if the environment reports neither.
 
     Raises:
-        StepContractError: the value is neither True, False, 1 nor 0.
+        StepContractError: the value is not True, False, 1 or 0.
     """
     for name in SUCCESS_KEYS:
         value = info.get(name)
@@ -372,7 +371,7 @@ def read_success_value(name: str, value: Any) -> bool:
 
 
 def check_observation(observation: Any, when: str) -> None:
-    """Refuse an observation, given at the moment `when`, with a number that is not finite, in tables and tuples too.
+    """Check that all numbers of an observation are finite, in tables and tuples too; `when` names its moment.
 
     Raises:
         StepContractError: it has NaN or an infinity; the message names the first.

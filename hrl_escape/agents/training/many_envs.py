@@ -56,11 +56,11 @@ REMADE = 200_000
 
 
 class VectorManyEnvs:
-    """Streams of a vector environment, one decision of each a step.
+    """Many environments of a vector environment, with one decision of each a step.
 
-    `infos` may hold what `make_transition` reads of `info`, as arrays: `action_mask`, and for decisions of several
+    `infos` can hold the keys that `make_transition` reads, as arrays: `action_mask`, and for decisions of several
     primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `is_success`, else `success`, at the
-    end of an episode. An array `_action_mask`, bool (environments,), and so on, says whose entries count; in an
+    end of an episode. An array `_action_mask`, bool (environments,), and so on, marks the valid entries; in an
     environment without a mask every action is legal. Wrappers of the vector environment act on every step.
 
     Args:
@@ -76,7 +76,7 @@ class VectorManyEnvs:
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
-        self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers may have a state, too
+        self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers can have a state, too
         self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (envs,) each
         set_option_discount(env, gamma)
 
@@ -146,9 +146,9 @@ class VectorManyEnvs:
         return batch.index_copy(0, rows, new.to(self.device, batch.dtype))
 
     def _read(self, infos: Mapping[str, Any], name: str) -> tuple[Tensor, Tensor] | None:
-        """Numbers of a key (environments, ...), and which environments give them, bool (environments,).
+        """Return the numbers of a key (environments, ...), and a mask of valid entries, bool (environments,).
 
-        None where the key is absent, or something else than numbers.
+        None if the key is absent or does not hold numbers.
         """
         given = infos.get(name)
         if given is None or isinstance(given, Mapping):
@@ -173,7 +173,7 @@ class VectorManyEnvs:
         return values.to(self.device), gives.to(self.device)
 
     def _read_masks(self, infos: Mapping[str, Any], rows: Tensor) -> Tensor:
-        """Legal actions, bool (environments, actions); all of them where an environment gives no mask.
+        """Return the legal actions, bool (environments, actions); all actions if an environment has no mask.
 
         Args:
             infos: of a step, a reset, or the ends of episodes.
@@ -204,7 +204,7 @@ class VectorManyEnvs:
         """
         if paid.shape != (self.count,):
             raise StepContractError(f"rewards have shape {tuple(paid.shape)}; {self.count} environments need one "
-                                    "number each. Where an environment returns several, weigh them in a wrapper below")
+                                    "number each. For several rewards, weigh them in a wrapper below")
         if paid.device.type == "cpu" and not bool((paid.isfinite() | ~where).all()):
             raise StepContractError(f"a reward is {float(paid[where & ~paid.isfinite()][0])}; rewards must be finite "
                                     "numbers")
@@ -235,7 +235,7 @@ class VectorManyEnvs:
 
     def _check_rewards(self, paid: Tensor, summed: Tensor, discounted: Tensor, duration: Tensor, rows: Tensor,
                        parts: Sequence[tuple[Tensor, Tensor] | None]) -> tuple[Tensor, Tensor]:
-        """Put in the sums that decisions of some rows give, and refuse rewards that are neither of the two."""
+        """Insert the sums of decisions in some rows, and check that rewards equal one of the two."""
         (of_r, _), (of_gamma, _) = (part for part in parts[:2] if part is not None)
         power = torch.as_tensor(self.gamma, dtype=torch.float64, device=paid.device) ** duration
         rounding = FLOAT32_ROUNDING * duration
@@ -307,7 +307,7 @@ class VectorManyEnvs:
         for actions in np.asarray(state["made"]):
             self.step(torch.from_numpy(actions.astype(np.int64)).to(self.device))
         if not np.array_equal(self.observation.cpu().numpy(), np.asarray(state["observation"]), equal_nan=True):
-            raise CheckpointError("the environments do not do the same again for equal seeds and actions")
+            raise CheckpointError("the environments are not deterministic: a replay of seeds and actions differs")
 
 
 def _make_array(value: Any) -> NDArray[Any]:
@@ -354,7 +354,7 @@ class ManyEnvsRun(Run):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Identity of the environments, in addition to the environment of evaluations, which `load_env` makes."""
+        """Identity of the environments and the evaluation environment, which represents them in a loaded run."""
         return super().identity | {"streams": describe_many(self._source)}
 
     def _begin(self) -> None:
@@ -408,7 +408,7 @@ class ManyEnvsRun(Run):
                                        "masks": self._masks.cpu().numpy()}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore the state of `state_dict`."""
         super().load_state_dict(state)
         self._begun = int(state["begun"])
         self._reset_streams()
