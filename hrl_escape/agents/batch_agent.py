@@ -44,7 +44,7 @@ class BatchAgent(Agent):
 
     @abstractmethod
     def observe(self, batch: Decisions) -> Mapping[str, float]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Learn from decisions; returns numbers to log, or nothing.
+        """Learn from decisions and return numbers to log.
 
         Decisions of one environment come in order, each from the state reached by the one before, until one is
         terminated or truncated.

@@ -75,9 +75,9 @@ class ManyEnvs(Protocol):
         ...
 
     def step(self, action: Tensor) -> Any:
-        """Give waiting environments their actions, int64 (environments,), and step; episodes reset automatically.
+        """Step with actions for waiting environments, int64 (environments,); episodes reset automatically.
 
-        Returns `EndedDecisions`, or what has its attributes.
+        Returns `EndedDecisions`, or an object with its attributes.
         """
         ...
 

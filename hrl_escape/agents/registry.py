@@ -1,12 +1,12 @@
-"""Names of agents: the list of them, their classes and named settings, and how third parties add theirs.
+"""Registry of agents: names, classes, named settings, and agents of third parties.
 
 A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
 that the file defines, abstract ones aside. Agents of the family `given` act by a given hierarchy, and agents of
 `offline` learn from a data set, so spaces and settings alone are not enough to make them.
 
-`smdp-dqn` and `dqn` are one implementation. The prefix says that the agent chooses among options, and lets named
-settings differ where the published program's did. The random policy over options is `random-options`. Third-party
-agents arrive through the entry-point group `hrl_escape.agents`. No algorithm is imported before it is asked for.
+`smdp-dqn` and `dqn` are one implementation. The prefix makes the agent choose among options, and can change named
+settings as the published program did. The random policy over options is `random-options`. Third-party
+agents are registered by the entry-point group `hrl_escape.agents`. Algorithms are imported on first use.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def join_name(algorithm: str, over_options: bool) -> str:
 
 
 def get_agent_class(name: str) -> type[Agent]:
-    """The class behind a name, over options or not.
+    """Return the class of a name, over options or not.
 
     Raises:
         UnknownNameError: no agent has this name; the message names the closest.
@@ -84,7 +84,7 @@ def find_agent_name(agent_class: type[Agent]) -> str:
     """Return the registered name of a class.
 
     Raises:
-        AgentSettingsError: it has none; the message says how to register it.
+        AgentSettingsError: it has none; the message explains how to register it.
     """
     found = next((name for name, module in _find_shipped().items() if module == agent_class.__module__), None)
     found = found or next((name for name in agents if name not in _find_shipped() and agents.get(name) is agent_class),
@@ -110,7 +110,7 @@ def register_agent(name: str, agent_class: type[Agent]) -> None:
 
 
 def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
-    """Refuse a name that no agent has, over options or not, without importing any.
+    """Check that a name is an agent's, over options or not, without importing the agent.
 
     Args:
         name: to be checked.
@@ -162,7 +162,7 @@ def find_agent_module(name: str) -> str | None:
 def list_recipes(name: str) -> dict[str, Any]:
     """Named settings of an agent, `default` first.
 
-    `keras-rl-2019` is what keras-rl 0.4.2 and the published program did, for agents that they had. For agents over
+    `keras-rl-2019` reproduces keras-rl 0.4.2 and the published program, for the agents they contain. For agents over
     options, settings that are for options come before the general ones of the same name.
 
     Raises:

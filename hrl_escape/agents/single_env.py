@@ -49,7 +49,7 @@ class _OneOfBatch:
 
 
 def serve_one(agent: Agent) -> OneByOne:
-    """Return the choices and updates of an agent in one environment; one that acted in many begins an episode."""
+    """Return the interface to an agent in one environment; an agent that acted in many begins an episode."""
     if not isinstance(agent, BatchAgent):
         return agent
     if agent.place != (1, None):
@@ -73,7 +73,7 @@ class SwitchingAgent(Agent):
     _env: int | None = None  # number of the environment that is served now, of many
 
     def begin_episode(self) -> None:  # noqa: B027 - optional: many agents remember nothing of an episode
-        """Forget the running episode."""
+        """Clear the memory of the running episode."""
 
     def begin_episodes(self, num_envs: int, device: torch.device) -> None:
         """Begin an episode in every environment; decisions that have not ended are dropped."""
@@ -180,7 +180,7 @@ class _InTurn:
 
 
 def serve_many(agent: Agent) -> ByBatch:
-    """Return the choices and updates of an agent in many environments; it is one of `MANY`."""
+    """Return the interface to an agent in many environments; its class is one of `MANY`."""
     if isinstance(agent, SwitchingAgent):
         return _InTurn(agent)
     assert isinstance(agent, BatchAgent)

@@ -30,13 +30,13 @@ def save_checkpoint(path: str | os.PathLike[str], state: StateTree) -> None:
     """Write a state tree atomically.
 
     Args:
-        path: the file, by custom ending in `.npz`; its folder must be there.
+        path: the file, by custom ending in `.npz`; its folder must exist.
         state: dicts (keys are strings), lists, tuples (which come back as lists), None, bool, int, float, str, numpy
             arrays and numbers, and anything with `.detach().cpu().numpy()`, such as a torch tensor.
 
     Raises:
-        FileWriteError: full disk, or a folder that cannot be written.
-        TypeError: the tree holds something else; the message says where.
+        FileWriteError: the disk is full, or the folder cannot be written.
+        TypeError: the tree holds another type; the message names its place.
     """
     arrays: dict[str, np.ndarray] = {}
     tree = _pack(state, "state", arrays)
@@ -57,7 +57,7 @@ def drop_experience(state: StateTree) -> StateTree:
 
 
 def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
-    """Read a state tree, bit for bit as `save_checkpoint` took it.
+    """Read a state tree, equal to the argument of `save_checkpoint` to the last bit.
 
     Raises:
         FileReadError: no such file, or it cannot be read.

@@ -105,7 +105,7 @@ def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: in
                  ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode from `reset(seed=seed)`, yielding each transition with its `info`.
 
-    The seed also fixes the draws of a policy that is random by nature. The episode stops at `max_primitives` at the
+    The seed also fixes the draws of a stochastic policy. The episode stops at `max_primitives` at the
     latest.
     """
     policy, primitives = agent.make_policy(), 0
@@ -122,7 +122,7 @@ def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
                  choose: Callable[[Any, NDArray[np.bool_]], int]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Step through one episode from `reset(seed=seed)`, yielding each transition at this gamma with its `info`.
 
-    `choose` is asked for each action, (observation, action mask) -> action, once the decision before it was dealt with.
+    `choose` maps (observation, action mask) to an action. It is called after the previous decision was yielded.
     """
     set_option_discount(env, gamma)
     observation, info = env.reset(seed=seed)

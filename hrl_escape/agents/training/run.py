@@ -76,18 +76,18 @@ class RunArguments:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The arguments as JSON values; one thread, no end but the budget's and whole episodes go unsaid."""
+        """The arguments as JSON values, without defaults of `threads`, `until_return` and `eval_trials`."""
         unsaid = {"threads": 1, "until_return": None, "eval_trials": 1}
         return {name: value for name, value in dataclasses.asdict(self).items()
                 if name not in unsaid or value != unsaid[name]}
 
 
 class Probe(Protocol):
-    """Measurements of an agent while it trains, which may also end its run before the budget.
+    """Measurements of an agent during training, which can end the run before its budget.
 
-    A probe changes nothing in the agent or in the episodes to come.
+    A probe must not change the agent or later episodes.
 
-    Its state is part of the run's checkpoints, so a resumed run measures what an uninterrupted one does.
+    Its state is part of the run's checkpoints, so a resumed run has the measurements of an uninterrupted one.
     """
 
     @property
@@ -107,11 +107,11 @@ class Probe(Protocol):
         """Measure between training episodes; the evaluation environment is free for use."""
 
     def state_dict(self) -> StateTree:
-        """Everything that the coming measurements depend on, and the past ones."""
+        """State of later measurements, and the results of past ones."""
         ...
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore the state of `state_dict`."""
 
 
 class Run(Stateful):

@@ -129,7 +129,7 @@ class RunFolder:
 
     @contextmanager
     def _writing_log(self) -> Iterator[None]:
-        """Say at once where the log's disk is full, or where its folder was deleted or moved."""
+        """Raise `FileWriteError` if the log's disk is full, or its folder was deleted or moved."""
         path = self.path / "log.jsonl"
         try:
             if not self._is_in_place(path):
@@ -220,7 +220,7 @@ def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_run(described: Any, path: Path) -> dict[str, Any]:
-    """The value itself, where it is the description of a run; `path` is for the message of the `CheckpointError`."""
+    """Return the description of a run, or raise `CheckpointError`, which names `path`."""
     if isinstance(described, dict) and described.get("format") == FORMAT - 1:
         raise CheckpointError(f"{path}: this run is of version 0.3, in format {FORMAT - 1}. `hrl-escape convert "
                               f"{path.parent if path.name == 'run.json' else path}` writes it in the form of this "

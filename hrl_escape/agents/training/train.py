@@ -2,7 +2,7 @@
 
 An episode's seed is a function of the run's seed and its number, and checkpoints are taken between episodes, so no
 environment needs saving: a killed run resumes to the same bits. Evaluations happen between episodes
-too. Many runs at once are the part of `hrl_escape.benchmark`.
+too. `hrl_escape.benchmark` runs many of them.
 """
 
 from __future__ import annotations
@@ -87,13 +87,13 @@ def train(
 
     Args:
         agent: a spec such as `dqn`, `smdp-dqn` or `smdp-ppo+objects+memory` (see `agents.spec`), a class, or an agent
-            made new. The options, memory and hierarchy of a spec must be the environment's.
-        env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
-            before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
-            arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
+            instance without training. The options, memory and hierarchy of a spec must be the environment's.
+        env: Discrete actions; `agent.make_transition` documents the contract of `step`. It must not depend on state
+            from before `reset(seed=...)`, which is called for every episode. An environment of your own must keep its
+            arguments under their names, or have a `describe` method (see `DescribedEnv`), so that runs with other
             arguments have another identity. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn
             from many environments (see `list_many_env_agents`) on its device; returns are then logged by segments of
-            steps instead of episodes. With `data` it is the one to be tested in, by default the data set's.
+            steps instead of episodes. With `data` it is the evaluation environment, by default the data set's.
         primitives: budget, of all environments together. The decision that reaches it is the last. With `data` the
             primitives learned from, counted at each pass; by default as many as the agent's `passes` say.
         data: data set, by name, by the path of a recording, or from `hrl_escape.data.load_data`, for agents that learn
@@ -103,8 +103,8 @@ def train(
         settings: fields of the agent's settings to change, if `agent` is a spec or class; they come after the spec's.
         eval_env: evaluation environment; by default `env` itself, between episodes, or one of many.
         eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
-            the first episode's end from there on, besides one before training and one after.
-        eval_episodes: episodes in an evaluation; 0 leaves evaluations out.
+            the next end of an episode, in addition to one before training and one after.
+        eval_episodes: episodes in an evaluation; 0 turns evaluations off.
         eval_seed: fixes the evaluation episodes; use one value for all runs that are compared.
         out: folder for log, checkpoints and result; `{key}` in its name becomes a hash of everything that decides
             the run's numbers. The same run found there continues from its last checkpoint, to the same bits; a
@@ -114,7 +114,7 @@ def train(
         callbacks: observers of rows, evaluations and checkpoints, such as `TensorBoard()`; see
             `agents.training.callbacks`.
         progress: show a progress line; by default on a terminal only.
-        probe: measures the agent on the way, and may end the run before its budget.
+        probe: measures the agent during training, and can end the run before its budget.
         threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
             many environments at once on a CPU are quicker with one per core.
         until_return: end before the budget, after two evaluations in a row whose mean return is at least this, or None
@@ -242,8 +242,8 @@ def make_single_env(env: VectorEnv | ManyEnvs) -> gymnasium.Env:
         kind = type(inner)
         is_harmless = kind.__module__.startswith("gymnasium.") and kind.__name__ in _SAME_TASK
         if not is_harmless and not isinstance(inner, VectorRewardWrapper):
-            raise AgentSettingsError("eval_env", None, f"an ordinary environment that does what {kind.__name__} "
-                                     "does: the vector environment has this wrapper, and the environment made for "
+            raise AgentSettingsError("eval_env", None, f"an ordinary environment with the effect of {kind.__name__}: "
+                                     "the vector environment has this wrapper, and the environment made for "
                                      "evaluation would lack it")
         inner = inner.env
     if hasattr(inner, "make_single_env"):
@@ -293,7 +293,7 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
 
 
 def _make_described_agent(described: Mapping[str, Any], env: gymnasium.Env, trust: bool, where: str) -> Agent:
-    """The agent of a run before its training: by its name, or else of the class that the run's description names."""
+    """Make the untrained agent of a run, by its name or by the class in the run's description."""
     try:
         get_agent_class(described.get("name", ""))
     except UnknownNameError as error:
