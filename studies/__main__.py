@@ -1,6 +1,6 @@
 """Studies of this project: `python -m studies` lists them, `python -m studies NAME` runs one and writes its page.
 
-NAME is that of a study, or the path of a folder that holds one. Killed, the same command goes on.
+NAME is the name of a study, or the path of a folder with one. After an interruption, the same command continues.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Studies of controls: agents held against the same agents without one part, in the same rooms with the same seeds.
 
 Such a study is data: its grid, and questions of pairs of agents in `study.toml`. A pair is one test over all rooms, and
-the pairs of all questions are one family (Holm). Whether learning adds anything is a further question: each learner
-against the best searcher that learns nothing. Its page extends `controls.md.j2`.
+the pairs of all questions are one family (Holm). A further question is what learning adds: each learner is compared
+with the best search baseline. Its page extends `controls.md.j2`.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ class Advice:
     """Advice to a user that follows from a question, in the words of its answer.
 
     Attributes:
-        question: its heading; empty for the one whether learners beat the best searcher.
-        gains: said where some agent is shown to gain; `{names}` are those that do, and `{first}` gains most.
-        loses: said where none gains and some is shown to lose; `{names}` are those.
+        question: its heading; empty for the comparison with the best search baseline.
+        gains: sentence if some agent gains significantly; `{names}` are these agents, and `{first}` gains most.
+        loses: sentence if none gains and some loses significantly; `{names}` are these agents.
         open: said otherwise.
     """
 
@@ -92,7 +92,7 @@ class Contrast(NamedTuple):
         high: upper end.
         p: two-sided, corrected over the family.
         visible: smallest gain that the test would have seen in 80 % of such studies.
-        equal: rooms in which all runs of both are equal, first escape and efficiency, and some run escapes.
+        equal: rooms where all runs of both are equal, first escape and efficiency, and some run escapes.
     """
 
     agent: str
@@ -180,7 +180,7 @@ def group(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], dict[int, Basel
 
 
 def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> dict[str, tuple[str, int]]:
-    """Rooms in which every run equals that in an earlier room: one task under two names.
+    """Rooms whose runs all equal the runs in an earlier room: one task under two names.
 
     Returns:
         Room -> the earlier room, and how many runs of at least two agents agree.
@@ -197,7 +197,7 @@ def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> dict[str, tuple[s
 
 
 def find_forced(cells: Cells, room: str, agent: str) -> bool:
-    """True if a learner's runs are equal whatever the seed, first escape and efficiency: no choice was left to it."""
+    """True if a learner's runs are equal for every seed, in first escape and efficiency: it had no choice."""
     runs = list(cells.get((room, agent), {}).values())
     return (len(runs) >= LEAST_RUNS and runs[0].primitives > 0 and runs[0].first_escape is not None
             and all(_are_equal(run, runs[0]) for run in runs))
@@ -245,7 +245,7 @@ def chooses_presses(spec: AgentSpec) -> bool:
 
 def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells, rooms: Sequence[str]
              ) -> list[Contrast]:
-    """Contrasts of one family (Holm), of couples that have `LEAST_RUNS` pairs in every room."""
+    """Contrasts of one family (Holm), for couples with `LEAST_RUNS` pairs in every room."""
     asked: list[tuple[str, str, list[NDArray[np.float64]], tuple[str, ...]]] = []
     for agent, other, others in couples:
         pairs = {room: _pair(cells.get((room, agent), {}), cells.get((room, others[room]), {})) for room in rooms}
@@ -274,7 +274,7 @@ def _average(runs: Cell) -> float:
 
 
 def tell_beyond(beyond: Sequence[Contrast], rooms: int) -> str:
-    """The finding: which learners reach more than the best searcher that learns nothing, over all rooms."""
+    """The finding: learners that reach more than the best search baseline, over all rooms."""
     if not beyond:
         return f"Nothing is concluded, as no learner has {LEAST_RUNS} runs beside a searcher's in every room."
     better = [contrast for contrast in beyond if contrast.is_better]
@@ -352,7 +352,7 @@ def _tell_contrast(contrast: Contrast) -> str:
 
 
 def _tell_lost(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[str]:
-    """Rooms where efficiency tells no learners apart, as none escapes."""
+    """Rooms whose efficiency does not distinguish learners, because none escapes."""
     learners = [agent for agent in agents if AgentSpec.parse(agent).learns]
     lost = [room for room in rooms
             if not any(run.escapes for agent in learners for run in cells.get((room, agent), {}).values())]

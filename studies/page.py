@@ -1,4 +1,4 @@
-"""The one writer of pages: a study's template, filled with what its analysis found, and its figures beside it.
+"""Writer of pages: a study's template, filled with the results of its analysis, and its figures next to it.
 
 Templates have one paragraph a line. Besides the values of the analysis they see the `study`, and filters: `words`
 joins a list as a sentence does, `code` sets each in code, `count` puts a noun behind a number, `num` formats one.

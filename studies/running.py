@@ -34,7 +34,7 @@ class StudyArgs:
     """Folder that takes page, figures and results; by default docs/results, with the results in the study's own
     folder, where they join those that are there."""
     from_raw: bool = False
-    """Train nothing: write the page anew from the results."""
+    """Skip training: write the page again from the results."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,7 @@ class GridArgs(StudyArgs):
     workers: int | None = None
     """Runs at a time; one a core by default."""
     first_seed: int = 0
-    """Lowest training seed; those from 100 on are fresh. Give another `--docs` too, or the page tells of both."""
+    """Lowest training seed; seeds from 100 on are fresh. Give another `--docs` too, or the page reports both."""
     runs: int | None = None
     """Training seeds of each agent in each room; the grid's by default."""
     primitives: int | None = None
@@ -56,12 +56,12 @@ class GridArgs(StudyArgs):
 
 
 def get_args(study: Study) -> type[Any]:
-    """Class of a study's options: `Args` of its analysis, or those of grids."""
+    """Class of a study's options: `Args` of its analysis, or the options of grids."""
     return getattr(study.analysis, "Args", GridArgs)
 
 
 def open_store(study: Study, docs: Path | None) -> Store:
-    """Results of a study: published ones, or those of a folder of pages."""
+    """Results of a study: published ones, or the results in a folder of pages."""
     path = study.folder / "raw.jsonl" if docs is None else docs / "raw" / f"{study.name}.jsonl"
     return Store(path, getattr(study.analysis, "LINES", (BaselineRun,)))
 
@@ -72,7 +72,7 @@ def run_study(study: Study, args: Any) -> Page:
     Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
 
     Raises:
-        ComparisonError: a run failed, or there is no run to tell of.
+        ComparisonError: a run failed, or it has no runs.
         FileReadError: the results are damaged.
         FileWriteError: results or page cannot be written.
         EscapeError: see `run_grid`.
@@ -105,7 +105,7 @@ def analyse(study: Study, lines: list[Any]) -> Page:
 def measure_grids(study: Study, args: GridArgs, store: Store) -> None:
     """Run the grids of a study one after another, and keep the lines of each.
 
-    References, of which only evaluations count, are run apart and train for `NO_TRAINING`.
+    References, which only have evaluations, are run apart and train for `NO_TRAINING`.
     """
     changes: dict[str, Any] = {name: value for name in ("runs", "primitives")
                                if (value := getattr(args, name)) is not None}
@@ -130,7 +130,7 @@ def _collect(comparison: Comparison) -> list[Line]:
 
 
 def refuse_failures(*comparisons: Comparison) -> None:
-    """Refuse comparisons in which runs failed, because a study tells of all of them.
+    """Refuse comparisons with failed runs, because a study reports all of them.
 
     Raises:
         ComparisonError: runs failed; names the first and its error.

@@ -26,7 +26,7 @@ MOST_SIGNS = 14
 
 
 def compute_median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, float, float]:
-    """Median with its interval from order statistics, whatever the distribution; of ten numbers the second and ninth.
+    """Median with its interval from order statistics, for any distribution; of ten numbers the second and ninth.
 
     Args:
         values: (n,); infinite where an event did not come.
@@ -56,7 +56,7 @@ def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: floa
 
 
 def compute_survival(times: ArrayLike, observed: ArrayLike) -> tuple[Floats, Floats]:
-    """Kaplan-Meier curve: the share for which an event has not come.
+    """Kaplan-Meier curve: the share without the event.
 
     Args:
         times: (n,) of the event, or until which it was waited for.
@@ -80,7 +80,7 @@ def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"])
 
     Args:
         differences: (n,) between runs that could change places if nothing were to be found.
-        side: of 0 on which the mean is looked for.
+        side: side of 0 of the alternative.
     """
     values = np.asarray(differences, dtype=np.float64)
     sums = _list_signs(len(values)) @ (values if side == "above" else -values)
@@ -88,7 +88,7 @@ def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"])
 
 
 def list_subset_means(values: ArrayLike) -> Floats:
-    """Means of all subsets but the empty one, ascending; of more than 14 numbers those of drawn subsets.
+    """Means of all nonempty subsets, ascending; of drawn subsets for more than 14 numbers.
 
     Differences that are symmetric about their centre put it between any two neighbours with equal probability (the
     typical values of Hartigan 1969), so that these means hold every interval of the centre, and their share below a
@@ -98,7 +98,7 @@ def list_subset_means(values: ArrayLike) -> Floats:
         values: (n,).
 
     Returns:
-        An array that cannot be written to: those of the last values asked about are kept.
+        A read-only array; the latest results are cached.
     """
     return _list_subset_means(tuple(np.asarray(values, dtype=np.float64).tolist()))
 
@@ -131,7 +131,7 @@ def cut_signs(values: ArrayLike, level: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def _list_signs(count: int) -> Floats:
-    """All signs of so many numbers, (2^count, count), or drawn ones of many; those of the first row are plus."""
+    """All signs of `count` numbers, (2^count, count), or drawn ones of many; the first row is plus."""
     if count <= MOST_SIGNS:
         return 1.0 - 2.0 * (np.arange(2**count)[:, np.newaxis] >> np.arange(count) & 1)
     signs = np.random.default_rng(2019).choice([-1.0, 1.0], size=(2**MOST_SIGNS, count))
@@ -193,7 +193,7 @@ def compare_strata(couples: Sequence[Sequence[NDArray[np.float64]]]) -> list[Dif
 
 
 def find_lasting(curve: Iterable[tuple[int, float]], least: float) -> int | None:
-    """Place of the first of two values in a row that are no less, beyond rounding; None without such a pair.
+    """Place of the first of two values in a row that are no less, beyond rounding, or None without such a pair.
 
     Args:
         curve: places, ascending, and the values there.
@@ -297,7 +297,7 @@ def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) 
     Args:
         sizes: smallest visible difference of each comparison; 0 where runs do not vary, infinite where none is visible.
         what: of a difference, such as `a gain of`.
-        tell: of a size.
+        tell: writes a size.
     """
     known = sorted(size for size in sizes if size > 0)
     if not known:
@@ -314,8 +314,8 @@ def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[flo
     """Confidence of intervals for a family of comparisons, so that each leaves out 0 just where Holm's test does.
 
     The k-th smallest p of n is held against alpha / (n - k + 1) until one is above that; this one's share of alpha is
-    that of all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected by
-    `correct_by_holm` is below alpha.
+    the share of all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected
+    by `correct_by_holm` is below alpha.
     """
     levels, share, goes_on = [0.0] * len(p), alpha, True
     for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):

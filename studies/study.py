@@ -2,7 +2,7 @@
 
 | file | holds |
 |---|---|
-| `study.toml` | `about`, a line; `comparisons` by name or `[[grid]]` tables; whatever else the analysis reads |
+| `study.toml` | `about`, a line; `comparisons` by name or `[[grid]]` tables; further values for the analysis |
 | `analysis.py` | `analyse(study, lines)`, which makes a `Page`; `Args`, `LINES`, `collect`, `measure` if not default |
 | `page.md.j2` | the page's words, around the values of the analysis |
 | `raw.jsonl` | a line a run, see `Store` |
@@ -41,7 +41,7 @@ class Page(NamedTuple):
         values: names in the template -> their values.
         figures: name -> figure; without ending it is drawn as SVG.
         conclusions: sentences that the command prints.
-        files: name -> text, written beside the figures.
+        files: name -> text, written next to the figures.
     """
 
     values: Mapping[str, Any]
@@ -64,7 +64,7 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The folder's, with hyphens; that of the command."""
+        """Name of the folder, with hyphens, as in the command."""
         return _name(self.folder)
 
     @property
