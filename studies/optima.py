@@ -237,7 +237,7 @@ class _Points:
             if change < 1e-12 * max(1.0, float(np.abs(values).max())):
                 break
         else:
-            raise UnsupportedError("values do not converge: episodes may go on for ever; take gamma below 1")
+            raise UnsupportedError("values do not converge: episodes can last for ever; set gamma below 1")
         is_best = of_choices >= np.repeat(values, np.diff(self.first)) - TIE
         best = [self.choices[begin + int(is_best[begin:end].argmax())]
                 for begin, end in zip(self.first, self.first[1:], strict=False)]
@@ -285,7 +285,7 @@ class _Calls:
             task, young, old = self._frames[call]
             ends = task.ends(young, self._seen[state])
             if ends != task.ends(old, self._seen[state]):
-                raise UnsupportedError(f"task {task.name!r} ends by how long it has run, which is no part of a (state, "
+                raise UnsupportedError(f"task {task.name!r} ends after a time, which is not part of a (state, "
                                        "stack) pair; give it no time limit")
             self._is_over[key] = ends
         return self._is_over[key]

@@ -204,7 +204,7 @@ def find_lasting(curve: Iterable[tuple[int, float]], least: float) -> int | None
 
 
 def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:
-    """Adjust p-values so that of the answers below 0.05, 5 % are wrong at most on average (Benjamini, Hochberg)."""
+    """Adjust p-values to bound the expected share of wrong answers below 0.05 by 5 % (Benjamini, Hochberg)."""
     adjusted, least = [0.0] * len(p), 1.0
     for rank, index in reversed(list(enumerate(sorted(range(len(p)), key=lambda index: p[index]), start=1))):
         least = min(least, p[index] * len(p) / rank)
@@ -297,7 +297,7 @@ def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) 
     Args:
         sizes: smallest visible difference of each comparison; 0 where runs do not vary, infinite where none is visible.
         what: of a difference, such as `a gain of`.
-        tell: writes a size.
+        tell: text of a size.
     """
     known = sorted(size for size in sizes if size > 0)
     if not known:

@@ -43,7 +43,7 @@ def read_rows(path: Path) -> list[str]:
     """
     header, *rows = read_text(path, "file of results").splitlines() or [""]
     if header != HEADER:
-        raise FileReadError(f"{path}: the first line is not {HEADER}, so its agents may be of version 0.3, where "
+        raise FileReadError(f"{path}: the first line is not {HEADER}, so its agents can be of version 0.3, where "
                             "smdp-dqn also chose primitives. Begin another file")
     return rows
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunDescription:
-    """A run that begins, or goes on."""
+    """A run that begins, or continues."""
 
     name: str  # of the agent
     seed: int  # of the run
@@ -41,14 +41,14 @@ class Callback:
         """Called when the run begins, or continues from its checkpoint; return True to end a run that continues."""
 
     def on_row(self, row: Mapping[str, Any]) -> None:
-        """A row of the log: an episode, a segment or an evaluation, as `log.jsonl` has it."""
+        """Called with each row of the log: an episode, a segment or an evaluation, as in `log.jsonl`."""
 
     def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
-        """An evaluation was made; True ends the run."""
+        """Called after an evaluation; return True to end the run."""
         return False
 
     def on_checkpoint(self, folder: Path) -> None:
-        """A checkpoint was written into the run's folder."""
+        """Called after a checkpoint was written into the run's folder."""
 
     def on_end(self, result: TrainResult | None) -> None:
         """Called last, with the result of the run, or with None after an interruption.
@@ -58,12 +58,12 @@ class Callback:
 
 
 def list_numbers(row: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers of a row to be drawn: those under names with a slash."""
+    """Return the numbers of a row to plot, with a slash in their names."""
     return {name: value for name, value in row.items() if "/" in name and isinstance(value, (int, float))}
 
 
 def _load(package: str, extra: str, purpose: str) -> Any:
-    """Import a package of an extra; `MissingExtraError` where it is not installed."""
+    """Import a package of an extra, or raise `MissingExtraError`."""
     try:
         return importlib.import_module(package)
     except ImportError as error:
@@ -71,7 +71,7 @@ def _load(package: str, extra: str, purpose: str) -> Any:
 
 
 class TensorBoard(Callback):
-    """Event files in the run's folder, numbers against primitives; those from after a checkpoint are dropped.
+    """Event files in the run's folder, numbers against primitives; events after a checkpoint are dropped.
 
     Raises:
         MissingExtraError: at the beginning of a run, without the extra `tensorboard`.
@@ -174,14 +174,14 @@ class OptunaPruning(Callback):
         self.trial, self.is_pruned = trial, False
 
     def on_begin(self, run: RunDescription) -> bool:
-        """Report the evaluations made before the run was resumed; True where the trial should be pruned."""
+        """Report the evaluations from before the run was resumed; return True to prune the trial."""
         for evaluation in run.evaluations:
             self.trial.report(evaluation.mean_return, evaluation.primitives)
         self.is_pruned = bool(run.evaluations) and bool(self.trial.should_prune())
         return self.is_pruned
 
     def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
-        """Report the mean return at this many primitives; True where the trial should be pruned."""
+        """Report the mean return at this many primitives; return True to prune the trial."""
         self.trial.report(evaluation.mean_return, evaluation.primitives)
         self.is_pruned = bool(self.trial.should_prune())
         return self.is_pruned

@@ -1,7 +1,7 @@
 """Results of a training run: episodes, evaluations, totals, and the rows of its log.
 
-Everything here is plain data that goes to JSON and back without loss. Fields that depend on the
-wall clock take no part in equality, so two results are equal if all that learning decides is equal, bit for bit.
+Results are plain data that JSON stores without loss. Fields that depend on the
+wall clock are excluded from equality: two results are equal if all results of learning are equal, bit for bit.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class SegmentRecord:
 
 
 def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
-    """Row of the log for an evaluation."""
+    """Make the row of the log for an evaluation."""
     return {
         "kind": "evaluation",
         "primitives": evaluation.primitives,
@@ -129,7 +129,7 @@ _OPTIONAL = frozenset({"train/success", "train/successes", "eval/success", "eval
 
 
 def omit_absent(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy of a row without the success and progress of episodes that report none."""
+    """Copy a row without the success and progress of episodes that report none."""
     return {name: value for name, value in row.items() if name not in _OPTIONAL or value is not None and (
         not isinstance(value, tuple) or any(each is not None for each in value))}
 
@@ -151,11 +151,11 @@ _ROWS: dict[str, tuple[type, dict[str, str]]] = {
 
 
 def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluation:
-    """Episode, segment or evaluation from a row of the log.
+    """Convert a row of the log to an episode, a segment or an evaluation.
 
     Raises:
         KeyError: the row lacks a name.
-        ConfigError: a value is not possible.
+        ConfigError: a value is invalid.
     """
     kind, names = _ROWS[row["kind"]]
     fields = {field: row.get(name) if name in _OPTIONAL else row[name] for field, name in names.items()}
@@ -174,7 +174,7 @@ class TrainResult:
     agent_name: str  #: registered name of the agent, or the name of its class
     seed: int  #: of the run
     settings: Mapping[str, Any]  #: of the agent, as a JSON value
-    primitives: int  #: trained for; a last option may carry it beyond the budget
+    primitives: int  #: trained for; the last option can exceed the budget
     decisions: int  #: trained for
     planner_calls: int
     """Requests to planners behind options, by `OptionsEnv.planning_total`; 0 where the environment is a vector."""
@@ -220,7 +220,7 @@ class TrainResult:
         return next((episode.primitives for episode in self.episodes if episode.success), None)
 
     def curve(self, metric: str = "mean_return", against: str = "primitives") -> tuple[NDArray, NDArray]:
-        """Learning curve from the evaluations.
+        """Return the learning curve from the evaluations.
 
         Args:
             metric: `mean_return`, `success_rate`, `mean_progress` or `mean_length`.
@@ -246,7 +246,7 @@ class TrainResult:
             beside: more runs to plot in the same axes.
 
         Returns:
-            A matplotlib figure that belongs to no window; it shows itself in a notebook, and `figure.savefig(path)`
+            A matplotlib figure without a window; a notebook displays it, and `figure.savefig(path)`
             writes it.
         """
         figure = get_figure_class()(figsize=(5.6, 3.0), dpi=120, layout="constrained")
@@ -260,7 +260,7 @@ class TrainResult:
         return figure
 
     def to_json(self) -> dict[str, Any]:
-        """JSON value without agent, folder, and what the folder held before."""
+        """Return a JSON value without `agent`, `folder` and `resumed_at`."""
         value = dataclasses.asdict(dataclasses.replace(self, agent=None))
         return {name: each for name, each in value.items() if name not in ("agent", "folder", "resumed_at")}
 
@@ -276,7 +276,7 @@ def load_result(folder: str | os.PathLike[str]) -> TrainResult:
 
 
 def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:
-    """Key and result of a finished run; see `load_result`."""
+    """Read the key and the result of a finished run; see `load_result`."""
     path = Path(folder) / "result.json"
     content = read_json(path, "result of a run")
     try:
