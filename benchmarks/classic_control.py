@@ -204,7 +204,8 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
              "| 95 % interval | p, Holm | verdict |", "|---|---|---|---|---|---|---|---|---|---|"]
     for (task_id, pair, *measures, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
         test = compare_pairs([measures[0][0] - measures[0][1]])
-        verdict = "not told apart" if p >= 0.05 else f"{pair[0]} {'better' if test.difference > 0 else 'worse'}"
+        side = "better" if test.difference > 0 else "worse"
+        verdict = "no significant difference" if p >= 0.05 else f"{pair[0]} {side}"
         middles = " | ".join(f"{compute_iqm([of[0]]):.0f}, {compute_iqm([of[1]]):.0f}" for of in measures)
         lines.append(f"| {task_id} | {', '.join(pair)} | {test.pairs} | {middles} | {test.difference:+.0f} | "
                      f"{test.low:+.0f} to {test.high:+.0f} | {p:.3f} | {verdict} |")

@@ -253,10 +253,10 @@ def describe(comparison: Comparison) -> str:
         says = f"{'more' if whole.difference > 0 else 'less'} than {second}, by {_describe_size(whole)} over the run"
         says = f"{first} learns {says}"
     else:
-        says = f"Between {first} and {second} no difference is shown over the run ({_describe_gap(whole)})"
+        says = f"Between {first} and {second} there is no significant difference over the run ({_describe_gap(whole)})"
     if final.p >= SURE:
-        return f"{says}; nor at its end ({_describe_gap(final)})." if whole.p >= SURE else (
-            f"{says}; at its end no difference is shown ({_describe_gap(final)}).")
+        return f"{says}, nor at its end ({_describe_gap(final)})." if whole.p >= SURE else (
+            f"{says}; at its end there is no significant difference ({_describe_gap(final)}).")
     where = "higher" if final.difference > 0 else "lower"
     return f"{says}; {'it' if whole.p < SURE else 'the first'} ends {_describe_size(final)} {where}."
 

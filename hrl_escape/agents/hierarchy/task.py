@@ -135,7 +135,7 @@ class BaseTask:
         return 0.0
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """Return its reward for one primitive, by default the environment's; scale arrival rewards by `step.arrival`."""
+        """Return its reward for one primitive, by default the environment's; `step.arrival` discounts the arrival."""
         return step.reward
 
     def final(self, frame: Frame, seen: Seen) -> float:
