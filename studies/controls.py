@@ -219,9 +219,9 @@ def compare_controls(questions: Sequence[Question], cells: Cells, rooms: Sequenc
 
 
 def compare_with_searchers(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> list[Contrast]:
-    """Each learner against the searcher that does best in each room.
+    """Compare each learner with the best search baseline of each room.
 
-    The best of several is taken after a look at them, which favours the searcher: what beats it, beats all.
+    The best is chosen after the fact, which favours the baseline: a learner that beats it beats all.
     """
     searchers = [agent for agent in agents if AgentSpec.parse(agent).name in SEARCH_BASELINES]
     best = {room: max((agent for agent in searchers if len(cells.get((room, agent), {})) >= LEAST_RUNS),
@@ -289,7 +289,7 @@ def tell_beyond(beyond: Sequence[Contrast], rooms: int) -> str:
 
 def tell_question(question: Question, contrasts: Sequence[Contrast], beyond: Sequence[Contrast],
                   chance: Sequence[Contrast]) -> str:
-    """One sentence: who gains over its control, and whether that is more than searching and chance reach."""
+    """Return a sentence about gains over controls, compared with search baselines and the random policy."""
     if not contrasts:
         return f"{question.heading}: nothing is concluded, as no pair has {LEAST_RUNS} runs in every room."
     same = [contrast for contrast in contrasts if contrast.is_same]
@@ -405,7 +405,7 @@ def _tabulate(cells: Sequence[Sequence[BaselineRun]]) -> str:
 
 
 def draw(cells: Cells, rooms: Sequence[str], agents: Sequence[str]) -> Figure:
-    """Mean efficiency over rooms, a dot a room: learners from the best down, lines for the best searcher and chance."""
+    """Mean efficiency over rooms, a dot a room: learners from the best down, lines for references."""
     def average(agent: str) -> list[float]:
         return [_average(cells[room, agent]) for room in rooms if (room, agent) in cells]
 

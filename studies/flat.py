@@ -398,7 +398,7 @@ def count_untrained(learner: FlatLearner) -> int:
 
 
 def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:
-    """Learners of a study that are asked for, in its order.
+    """Select the learners of a study, in its order.
 
     Raises:
         UnknownNameError: the study has no such label.

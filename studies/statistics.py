@@ -297,7 +297,7 @@ def tell_power(sizes: Sequence[float], what: str, tell: Callable[[float], str]) 
     Args:
         sizes: smallest visible difference of each comparison; 0 where runs do not vary, infinite where none is visible.
         what: of a difference, such as `a gain of`.
-        tell: text of a size.
+        tell: function that writes a size.
     """
     known = sorted(size for size in sizes if size > 0)
     if not known:
