@@ -33,7 +33,6 @@ CHECKED = (
     "hrl_escape",
     "examples",
     "benchmarks",
-    "studies/*.py",
 )
 """Files and folders that are checked."""
 ALL = (*CHECKED, "docs/results", "studies")

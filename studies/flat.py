@@ -398,7 +398,7 @@ def count_untrained(learner: FlatLearner) -> int:
 
 
 def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:
-    """Select the learners of a study, in its order.
+    """Select a study's learners, in its order.
 
     Raises:
         UnknownNameError: the study has no such label.
