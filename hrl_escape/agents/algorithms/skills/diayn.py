@@ -33,7 +33,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class DIAYNSettings(AgentSettings):
-    """Skills, what the discriminator sees and the clipped update of `diayn`."""
+    """Settings of `diayn`: skills, discriminator, and the clipped update."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
@@ -70,7 +70,7 @@ class DIAYNSettings(AgentSettings):
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
+    """Decisions collected before each round of updates, of all environments together."""
     stream_rollout: Annotated[int, Range(1)] = 32
     """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
     many minibatches, so into larger ones."""
@@ -84,7 +84,7 @@ class DIAYNSettings(AgentSettings):
     """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Before the first success that blows
     noise up to full-sized steps."""
     options: Annotated[int, Range(2)] = 8
-    """Skills that are learned."""
+    """Number of skills."""
     goal: Literal["bits", "observation"] = "bits"
     """Part of the observation that the discriminator sees. `bits`: components of a flat Box that have only ever been 0
     or 1, in a room the puzzle's; all of a discrete observation. `observation`: everything."""
@@ -93,12 +93,12 @@ class DIAYNSettings(AgentSettings):
 
 
 class SkillHeads(OptionHeads):
-    """Networks of skills, drawn evenly, that never end by themselves."""
+    """Networks of skills, which are drawn evenly and never end by themselves."""
 
     names: ClassVar[tuple[str, ...]] = ("policy", "critic")
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """A skill never ends by itself, float64 (skills,)."""
+        """Return zeros, float64 (skills,), because skills never end by themselves."""
         return np.zeros(self.options)
 
     def compute_betas(self, observation: Tensor) -> Tensor:
@@ -106,7 +106,7 @@ class SkillHeads(OptionHeads):
         return torch.zeros((len(observation), self.options), device=observation.device)
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
-        """Probability of each skill, p(z), which is uniform, float64 (skills,)."""
+        """Return the uniform probability of each skill, p(z), float64 (skills,)."""
         return np.full(self.options, 1 / self.options)
 
     def compute_fresh_choice(self, observation: Tensor) -> Tensor:
@@ -117,13 +117,13 @@ class SkillHeads(OptionHeads):
 class DIAYN(OptionRolloutAgent):
     """One skill z an episode, drawn evenly, and PPO within skills.
 
-    A skill is paid
+    The reward of a skill is
 
         log q(z | g(s')) - log p(z),    p(z) = 1 / skills
 
     for every decision that leads to s', where q is the discriminator's forecast of the skill from the goal g(s') and
-    p(z) makes staying alive worth nothing if skills cannot be distinguished. The task's reward is seen by the choice
-    among skills alone: in evaluation the one runs whose episodes earned the most in training.
+    p(z) makes the reward 0 if skills cannot be distinguished. The task's reward only affects the choice
+    among skills: evaluation runs the skill with the highest mean return in training.
     """
 
     settings: DIAYNSettings
@@ -146,23 +146,23 @@ class DIAYN(OptionRolloutAgent):
     # --- skills -----------------------------------------------------------------------
 
     def find_best_skill(self) -> int:
-        """The skill whose training episodes earned the most on average; the first before any has ended."""
+        """Return the skill with the highest mean return of training episodes, or 0 before the first."""
         means = np.where(self._episodes > 0, self._returns / np.maximum(self._episodes, 1), -np.inf)
         return int(means.argmax())
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the best skill at an observation, before any mask, (actions,)."""
+        """Return the logits of the best skill at an observation, unmasked, (actions,)."""
         return self.heads.compute("policy", observation).reshape(self.options, -1)[self.find_best_skill()]
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest action of the best skill."""
+        """Return the most probable action of the best skill."""
         self._shown = self.find_best_skill(), 0, observation
         return choose_best(self.compute_preferences(observation), action_mask)
 
     # --- learning ---------------------------------------------------------------------
 
     def observe(self, batch: Decisions) -> Mapping[str, float]:
-        """Store the decisions and what their episodes earned; update when the rollout is full."""
+        """Store the decisions and the returns of their episodes; update when the rollout is full."""
         over = batch.terminated | batch.truncated
         if self._many is None:
             self._note(batch.env, [self._option], batch.summed_reward, over, batch.next_observation)
@@ -173,18 +173,18 @@ class DIAYN(OptionRolloutAgent):
         return super().observe(batch)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin an episode in every environment, with earnings of 0."""
+        """Begin an episode in every environment, with a return of 0."""
         super().begin_episodes(num_envs, device)
         self._earned = np.zeros(num_envs)
 
     def move(self, device: torch.device) -> None:
-        """Move networks, optimisers and what waits for updates to a device."""
+        """Move networks, optimisers and collected decisions to a device."""
         super().move(device)
         self._judge.move(device)
 
     def _note(self, env: ArrayLike, option: ArrayLike, reward: ArrayLike, over: ArrayLike, reached: ArrayLike
               ) -> None:
-        """Add up what skills earn, and notice which components of observations are not bits; arrays (n, ...)."""
+        """Add up returns of skills, and find components of observations that are not bits; arrays (n, ...)."""
         env, option, over = np.asarray(env), np.asarray(option), np.asarray(over, dtype=np.bool_)
         if self._reader is not None and len(env):
             self._reader.notice(np.asarray(reached, dtype=np.float64).reshape(len(env), -1))
@@ -194,7 +194,7 @@ class DIAYN(OptionRolloutAgent):
         self._earned[env[over]] = 0.0
 
     def read_goals(self, observation: Tensor) -> Tensor:
-        """The part of encoded observations that the discriminator sees, the rest 0; (n, ...)."""
+        """Return encoded observations for the discriminator, with all other components 0; (n, ...)."""
         if self._reader is None:
             return observation
         seen = torch.zeros(observation.shape[1], device=observation.device)

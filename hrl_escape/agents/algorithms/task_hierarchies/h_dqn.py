@@ -1,7 +1,7 @@
-"""h-DQN: a manager that learns which goal to name, over a worker that learns to reach every goal.
+"""h-DQN: a manager that learns to choose goals, over a worker that learns to reach every goal.
 
 Kulkarni, Narasimhan, Saeedi and Tenenbaum (2016). Both are Q-learners, by tables or by networks.
-Other than in the paper, the manager discounts by gamma^k, the time that a goal took.
+Unlike in the paper, the manager discounts by gamma^k, with the duration k of a goal.
 """
 
 from __future__ import annotations
@@ -107,14 +107,14 @@ class HDqn(CallRunner):
 
         Q1(s, a; g) <- f + gamma^k (1 - reached or terminated) max over a' of Q1(s', a'; g)
 
-    The manager named g at s; s', k primitives later, is where that call ended, and F = sum of gamma^i r_i on the way:
+    The manager chose g at s, the call ended at s' after k primitives, and F = sum of gamma^i r_i during the call:
 
         Q2(s, g) <- F + gamma^k (1 - terminated) max over g' of Q2(s', g')
 
     s is the state at the choice of g. A call that is given up, or cut, bootstraps at both levels.
 
     Args:
-        goals: by default those that `make_goals` finds in the observation space. Where they come with a policy, the
+        goals: goals, by default from `make_goals` for the observation space. If they have a policy, the
             worker follows it and does not learn.
     """
 
@@ -156,7 +156,7 @@ class HDqn(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best goal, the best primitive towards it."""
+        """Choose the best goal, and the best primitive towards it."""
         if stack[-1].context is not None and self._is_planned:
             return int(legal.argmax())
         return choose_best(self._compute(view, stack[-1].context), legal, rng)
@@ -165,7 +165,7 @@ class HDqn(CallRunner):
         return (self.manager if goal is None else self.worker).compute(observation, goal)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn at each level whose decision came back."""
+        """Learn at each level with a completed decision."""
         metrics: dict[str, float] = {}
         for returned in returns:
             frame, decision = returned.frame, returned.decision
@@ -243,7 +243,7 @@ class _NetworkValues(Stateful):
         self._replay = Replay(Arrays(rng), settings.replay_capacity, shape, self._encoder.dtype, actions)
         self._rng, self._due = rng, 0.0
         self.waits = False
-        """Backups are stored, and updates left for later."""
+        """Store backups, without updates."""
 
     def _encode(self, observation: Any, goal: int | None) -> NDArray:
         encoded = self._encoder.encode(observation)
@@ -265,7 +265,7 @@ class _NetworkValues(Stateful):
         return 0.0 if self.waits else self.update()
 
     def update(self, most: int | None = None) -> float:
-        """Make the updates that are due; with `most`, no more, whose minibatches are larger for it."""
+        """Make the due updates; beyond `most`, minibatches grow instead."""
         loss, due, size = 0.0, int(self._due), self._settings.batch_size
         if due and len(self._replay) >= size:
             self._due -= due
