@@ -174,7 +174,6 @@ def _compare_with_random(summary: Summary) -> list[str]:
 
 
 def _list_search_baselines(summary: Summary) -> list[AgentSummary]:
-    """Return the search baselines of a summary."""
     return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
 
 
@@ -242,7 +241,6 @@ def _describe_generalisation(summary: Summary) -> list[str]:
 
 
 def _describe_trials(summary: Summary) -> list[str]:
-    """Describe the efficiency at each trial in the same rooms."""
     tried = [agent for agent in summary.agents if agent.trials]
     if not tried:
         return []

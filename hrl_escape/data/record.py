@@ -221,7 +221,6 @@ def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[g
 
 
 def _choose_any(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
-    """Any legal action."""
     return sample_legal(legal, rng)
 
 

@@ -1,10 +1,9 @@
 """Replay of SMDP backups: a ring of decisions, drawn as backups of n decisions, and the schedule of updates.
 
 The ring stores the backup (R, b) of each decision, with the target R + b V(s'), which contains duration, discount and
-termination once (see `agent.compute_backup`). Consecutive decisions of one environment are
-linked, and joined when they are drawn. The ring holds NumPy arrays of one environment, or tensors of many on their
-device. With NumPy it samples several times faster than TorchRL's ReplayBuffer over LazyTensorStorage
-(`python -m benchmarks.agents`).
+termination once (see `agent.compute_backup`). Consecutive decisions of one environment are linked, and joined when they
+are drawn. The ring holds NumPy arrays of one environment, or tensors of many on their device. With NumPy it samples
+several times faster than TorchRL's ReplayBuffer over LazyTensorStorage (`python -m benchmarks.agents`).
 
 `ReplayAgent` is the base of agents that learn by updates from replay. Where many updates are due after a step of
 many environments, minibatches grow instead, so that every decision is learned from as often as in one environment.

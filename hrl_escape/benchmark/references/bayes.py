@@ -172,5 +172,4 @@ class _Posterior:
 
 
 def _get_bits(state: RoomState) -> int:
-    """Bits of the buttons that are on."""
     return cast(int, state.puzzle)
