@@ -202,7 +202,7 @@ class FeudalRlSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     penalty: Annotated[float, Range(0)] = 0.2
     """Cost to a manager of leaving its cell against the order. More makes managers follow orders more strictly."""

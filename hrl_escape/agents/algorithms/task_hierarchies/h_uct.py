@@ -55,7 +55,7 @@ class HUctSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "always"
-    """When to plan from the root again at each primitive, instead of running calls to their end: never, in evaluation
+    """Plan from the root again at each primitive, instead of running calls to their end: never, in evaluation
     only, or always."""
     simulations: Annotated[int, Range(1)] = 200
     """Simulations for each choice of each running task. More plan better and take longer."""

@@ -43,7 +43,7 @@ class RMaxqSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     visits: Annotated[int, Range(1)] = 1
     """m, samples that make a pair of state and primitive known. 1 is enough for deterministic outcomes; more are needed
