@@ -1,4 +1,4 @@
-"""Measure updates per second of the deep agents beside Stable-Baselines3 and TorchRL.
+"""Measure updates per second of the deep agents against Stable-Baselines3 and TorchRL.
 
 An update is a sample from replay (or a minibatch of a rollout), a gradient step, and the target
 network's step. All contenders have two hidden layers of 64 units and batches of 64, for 12 inputs
@@ -195,7 +195,7 @@ def make_sb3_ppo() -> Callable[[int], None]:
 
 
 def measure_updates(contenders: dict[str, Callable[[int], None]], updates: int, rounds: int) -> dict[str, float]:
-    """Median updates per second of each contender over rounds in which all take turns."""
+    """Return the median updates per second of each contender over rounds; contenders alternate in a round."""
     rates: dict[str, list[float]] = {name: [] for name in contenders}
     for update in contenders.values():
         update(80)
@@ -214,7 +214,7 @@ class Args:
     updates: int = 400
     """Updates in a round."""
     rounds: int = 7
-    """Number of rounds in which all take turns."""
+    """Number of rounds."""
     compile: bool = False
     """Also measure TorchRL's loss compiled, which takes about 20 s more."""
     json: bool = False
@@ -224,7 +224,7 @@ class Args:
 def run(args: Args) -> int:
     """Measure and print; ratios are to Stable-Baselines3's agent of the same kind."""
     torch.set_num_threads(1)
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer on standard output
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it prints a line for every buffer
     contenders = {
         "dqn": make_ours("dqn"),
         "Stable-Baselines3 DQN": make_sb3_dqn(),

@@ -1,4 +1,4 @@
-"""Arms: inverse kinematics beside other solvers, and motions in clutter that Bullet finds free.
+"""Arms: inverse kinematics against other solvers, and motions in clutter that Bullet finds free.
 
 Run: `python benchmarks/arm_motion.py` (six minutes on an idle core; `--poses 20 --motions 4` a few seconds); exits
 with 1 if a target is missed. A thousand reachable poses a robot are solved by `ArmPlanner.solve_ik` from
@@ -111,7 +111,7 @@ class PinkSolver:
         self.task = pink.FrameTask(self.model.frames[arm._frame].name, position_cost=1.0, orientation_cost=1.0)
 
     def solve(self, target: NDArray[np.float64], start: NDArray[np.float64]) -> bool:
-        """Whether the hand comes within 1e-4 (m, rad) of a placement, the joints within their limits."""
+        """Return whether the hand comes within 1e-4 (m, rad) of a placement, the joints within their limits."""
         self.task.set_target(pinocchio.SE3(target))
         first = np.clip(self.arm._make_q(tuple(start.tolist())), self.low, self.high)
         configuration = pink.Configuration(self.model, self.model.createData(), first)
@@ -258,7 +258,7 @@ def check_motions(kind: str, joints: int, queries: int) -> tuple[int, int]:
 
 
 def plan_between_random_postures(planner: ArmPlanner, state: RoomState, rng: np.random.Generator) -> MotionPath | None:
-    """A path between two free postures; None if the budget did not suffice."""
+    """A path between two free postures, or None if the budget did not suffice."""
     low, high = planner._limits
     samples = (rng.uniform(low, high) for _ in range(500))
     begin, end = itertools.islice((q for q in samples if planner.is_free(state, q.tolist(), 0.005)), 2)

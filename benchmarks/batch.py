@@ -1,11 +1,10 @@
-"""Measure steps per second of batched rooms by batch size, eager and compiled, beside others.
+"""Measure steps per second of batched rooms by batch size, eager and compiled, against others.
 
 The others are the Bullet environment in Gymnasium's SyncVectorEnv, CartPole's own vector
 environment and, if installed, XLand-MiniGrid and gymnax's CartPole. All take random actions; resets are included.
-Repeats are interleaved and each contender's best counts. The memory bound is the rate at which
-the bytes that a step reads and writes could be copied: the limit if arithmetic were free. The
-arithmetic bound is the best rate of the rooms by which a batch exceeds the next smaller one: the
-limit if calls and memory were free.
+Repeats are interleaved and each contender's best counts. The memory bound is the rate of copying the bytes that a step
+reads and writes: the limit with free arithmetic. The arithmetic bound is the best rate of the additional rooms of a
+batch over the next smaller one: the limit with free calls and memory.
 
 Examples:
     python -m benchmarks.batch

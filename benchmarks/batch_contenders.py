@@ -61,7 +61,7 @@ class Contender:
         moved_bytes: bytes that a step must at least read and write for a room; 0 if unknown.
         wall: best time of a step of the batch, s.
         cpu: best CPU time of a step of the batch, s.
-        arithmetic_bound: steps a second if calls and memory were free; None if it was not measured.
+        arithmetic_bound: steps a second if calls and memory were free, or None if it was not measured.
     """
 
     name: str
@@ -103,8 +103,8 @@ class Contender:
 def set_arithmetic_bounds(contenders: Sequence[Contender]) -> None:
     """Find the arithmetic bound of every batch that was measured in more than one size.
 
-    It is the best rate of the rooms by which a batch exceeds the next smaller one, and the smallest one exceeds none:
-    what a call costs, however many rooms there are, is in both. A batch's own rate is a mean of such rates, weighted
+    It is the best rate of the additional rooms of a batch over the next smaller one, which cancels the cost of a call.
+    The smallest batch has no such rate.
     by their times, so that none is above the bound. Batches that take longer than a larger one are left out.
     """
     for one in contenders:
@@ -240,7 +240,7 @@ def _make_gymnax(count: int) -> Contender:
 
     env, params = gymnax.make(CARTPOLE)
     keys = jax.random.split(jax.random.key(0), count)
-    advance = jax.jit(jax.vmap(env.step, in_axes=(0, 0, 0, None)))  # begins anew where an episode ends
+    advance = jax.jit(jax.vmap(env.step, in_axes=(0, 0, 0, None)))  # resets at the end of an episode
     pool = [jax.random.randint(jax.random.key(n), (count,), 0, env.num_actions) for n in range(POOL)]
     now = [jax.jit(jax.vmap(env.reset, in_axes=(0, None)))(keys, params)[1]]
 
@@ -272,7 +272,7 @@ def _wait(device: torch.device) -> None:
 def count_moved_bytes(arguments: Any, results: Any) -> int:
     """Bytes that a step must read and write: its arguments and results, each tensor once.
 
-    Those that are handed on as they are do not count, though some are read; so the bound is one that no step passes.
+    Tensors that are passed on unchanged do not count, though some are read. The bound therefore holds for every step.
     """
     given, made = _collect(arguments), _collect(results)
     return sum(tensor.nbytes for key, tensor in (given | made).items() if key not in given or key not in made)

@@ -4,8 +4,8 @@
     python -m benchmarks.calibration --pages                        # the second alone
     python -m benchmarks.calibration --pages "price of flatness"    # one row of it
 
-Agents are identical, so any agent called better than another is an error, whatever sentence says so; the best of
-several is picked by the same data. The second table is of pages in which there is nothing to find
+Agents are identical, so any agent called better than another is an error, in any sentence; the best of
+several is picked by the same data. The second table is of pages about runs without any difference
 (`simulated_pages.py`). An interval misses where the truth lies outside.
 """
 
@@ -45,7 +45,7 @@ SHAPES: dict[str, Draw] = {
 
 def count_false_verdicts(draw: Draw, agents: int, rooms: int, runs: int, trials: int, rng: np.random.Generator
                          ) -> float:
-    """Share of comparisons of identical agents in which some agent is called better than another."""
+    """Share of comparisons of identical agents that call some agent better than another."""
     wrong = 0
     for _ in range(trials):
         finals = [{(str(room), seed): float(value) for room in range(rooms) for seed, value in

@@ -4,11 +4,11 @@
     python -m benchmarks.classic_control --tasks CartPole-v1   # one task
     python -m benchmarks.classic_control --quick               # seconds: shows that everything runs
 
-Agents run at their default settings, `dqn-tuned` at those that were chosen for the task on seeds 500 to 504, `sb3-dqn`
-and `sb3-ppo` (Stable-Baselines3) at those of RL Baselines3 Zoo, all for the same number of primitives. `final` is the
-mean return of the greedy policy when the budget ends, `best` that of its best evaluation on the way: reaching a
+Agents run at their default settings, `dqn-tuned` at settings chosen for the task on seeds 500 to 504, `sb3-dqn` and
+`sb3-ppo` (Stable-Baselines3) at the settings of RL Baselines3 Zoo, all for the same number of primitives. `final` is
+the mean return of the greedy policy at the end of the budget, and `best` its best evaluation on the way: reaching a
 threshold is not holding it. Comparisons are paired by seed. Finished runs are kept, a line each, in the file `--out`;
-the command goes on where it was stopped.
+the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Task:
 
     Attributes:
         primitives: budget of a run.
-        threshold: mean return from which the task counts as solved.
+        threshold: smallest mean return of a solved task.
         tuned: arguments of `stable_baselines3.DQN`, from RL Baselines3 Zoo's `hyperparams/dqn.yml`.
         settings: of `dqn-tuned`, where they are not the defaults.
         ppo: arguments of `stable_baselines3.PPO`, from the Zoo's `hyperparams/ppo.yml`; rates and clips fall to 0.
@@ -182,9 +182,9 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
 def compare(rows: Sequence[dict[str, Any]]) -> str:
     """A table of differences between the final returns of two contenders with the same seed.
 
-    `all` is the mean over a run's evaluations, which says who learned sooner. Each difference has Student's interval
-    and the test of signs; the verdict tells two contenders apart where Holm's correction
-    over all rows leaves p below 0.05.
+    `all` is the mean over a run's evaluations, which shows earlier learning. Each difference has Student's interval
+    and the test of signs; the verdict distinguishes two contenders if Holm's correction over all rows leaves p below
+    0.05.
 
     Args:
         rows: finished runs; a pair has those seeds that both contenders ran.
@@ -204,7 +204,8 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
              "| 95 % interval | p, Holm | verdict |", "|---|---|---|---|---|---|---|---|---|---|"]
     for (task_id, pair, *measures, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
         test = compare_pairs([measures[0][0] - measures[0][1]])
-        verdict = "not told apart" if p >= 0.05 else f"{pair[0]} {'better' if test.difference > 0 else 'worse'}"
+        side = "better" if test.difference > 0 else "worse"
+        verdict = "no significant difference" if p >= 0.05 else f"{pair[0]} {side}"
         middles = " | ".join(f"{compute_iqm([of[0]]):.0f}, {compute_iqm([of[1]]):.0f}" for of in measures)
         lines.append(f"| {task_id} | {', '.join(pair)} | {test.pairs} | {middles} | {test.difference:+.0f} | "
                      f"{test.low:+.0f} to {test.high:+.0f} | {p:.3f} | {verdict} |")

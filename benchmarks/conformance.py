@@ -1,7 +1,7 @@
 """Do the batched engine and the scalar rules agree? Random primitives in many rooms, compared one by one.
 
-    python -m benchmarks.conformance --json full.json                    # the full check, two hours; goes on if stopped
-    python -m benchmarks.conformance --rooms clutter --instances 5 --primitives 10000
+    python -m benchmarks.conformance --json full.json                    # the full check, two hours; continues if
+    stopped python -m benchmarks.conformance --rooms clutter --instances 5 --primitives 10000
 
 Every difference of a pose by more than 1e-4 m, of a press, exit, reward or flag is either a close
 call (moving the start of that primitive by a millimetre changes what it does) or a disagreement.
@@ -41,7 +41,7 @@ class Agreement:
 
     Attributes:
         primitives: how many were compared.
-        worst: largest difference of a coordinate that is no close call, m.
+        worst: largest difference of a coordinate apart from close calls, m.
         close_calls: differences within a millimetre of a threshold.
         disagreements: all other differences, in words.
     """
@@ -66,7 +66,7 @@ def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int =
         primitives: primitives in each instance, shared by its copies.
         copies: rooms that each instance is stepped in at once.
         seed: of the primitives and of the episodes.
-        velocities: what actions mean, if they are no primitives.
+        velocities: meaning of actions other than primitives.
     """
     rooms = len(instances) * copies
     batch = TensorRoom(Rooms(rooms, instance=instances), autoreset="disabled", velocities=velocities)

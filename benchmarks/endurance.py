@@ -33,7 +33,7 @@ WARM_UP = 0.2
 
 
 class Held(NamedTuple):
-    """What a process holds: resident memory in MB, open descriptors, threads."""
+    """Resources of a process: resident memory in MB, open descriptors, threads."""
 
     memory: float
     descriptors: int
@@ -49,7 +49,7 @@ class Held(NamedTuple):
 
 
 ALLOWED = Held(16.0, 2, 4)
-"""Largest growth that is no leak: allocators and pools settle slowly."""
+"""Largest growth that does not count as a leak: allocators and pools settle slowly."""
 
 
 def step() -> Generator[None]:

@@ -1,4 +1,4 @@
-"""Measure steps per second of each preset beside CartPole-v1, Taxi, MiniGrid and panda-gym, in one run.
+"""Measure steps per second of each preset against CartPole-v1, Taxi, MiniGrid and panda-gym, in one run.
 
 Every environment comes from gymnasium.make with its default wrappers and takes random actions.
 Repeats are interleaved, so that a busy moment of the machine slows all of them alike. The median

@@ -1,14 +1,14 @@
 """How much is learned from a primitive, and in a second, as environments grow from 1 to 4,096?
 
     python -m benchmarks.environments_scaled choose    # which rule of settings, on CartPole: two minutes of a core
-    python -m benchmarks.environments_scaled           # the rule beside the defaults, in a room: 15 minutes
+    python -m benchmarks.environments_scaled           # the rule against the defaults, in a room: 15 minutes
     python -m benchmarks.environments_scaled --quick   # seconds: shows that everything runs
 
 A rule gives `ppo` settings for each number of environments. The one with the highest mean return over the run, evenly
 over 64, 512 and 4,096 environments, is chosen on CartPole, and no run in the room is looked at for it. All are
 evaluated after the same numbers of primitives, of all environments together, in the same greedy episodes; seconds are
-of processor time, without evaluations. Finished runs are kept, a line each, in the file `--out`; the command goes on
-where it was stopped, seed by seed, so that every line of the table has as many runs.
+of processor time, without evaluations. Finished runs are kept, a line each, in the file `--out`. The command continues
+a stopped run, seed by seed, and every line of the table has as many runs.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ EVALUATIONS, EPISODES = 16, {CHOOSING: 5, REPORTED: 3}
 
 
 def cut(count: int, steps: int, batch: int = 64) -> dict[str, Any]:
-    """Rollouts of at least 2,048 decisions and so many of each stream, in minibatches of a size.
+    """Rollouts of at least 2,048 decisions and a number of each environment, in minibatches of a size.
 
     The step size grows with the root of the minibatch.
     """
@@ -59,7 +59,7 @@ RULES: dict[str, Callable[[int], dict[str, Any]]] = {
     "one step": lambda count: {} if count < 64 else cut(count, 1),
     "eight steps": lambda count: {} if count < 64 else cut(count, 8, 256),
 }
-"""Name -> settings for so many environments; below 64 all are the defaults."""
+"""Name -> settings for a number of environments; below 64 all are the defaults."""
 
 
 class Timer:

@@ -1,12 +1,12 @@
-"""How long the planner takes to say that there is no way, beside what it took with every grid made in full.
+"""Time of the planner to find that no way exists, against its time with every grid made in full.
 
 Run: `python -m benchmarks.failed_places` (some minutes on one core); exits with 1 if the 95th percentile of a room
 configuration's failures is above 0.2 s (under physics, where arms collide, none is asked for), or if an answer differs.
 Each question is the first one that a planner is asked, and counts in CPU time of this process. Questions are places
 inside solids, anywhere, too exact, at headings that no turn leads to, within walls, and behind gaps a little narrower
 than the body; by hand, panels too high, inside blocks, within walls and behind such gaps. In full means without the
-three rules that save time: links are found where a field needs them, what is cut off is explored before a field is
-made, and parts of the floor are proven apart from all places of the base from which the hand reaches a panel.
+three rules that save time: links are found where a field needs them, isolated areas are explored before a field is
+made, and parts of the floor are proven apart from all places of the base where the hand reaches a panel.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from hrl_escape.sets import load_benchmark
 LIMIT_S = 0.2
 LINKS, FIND_PROOF = "_get_links", "_find_proof"
 APART = 4.5
-"""Distance from the start at which walls, blocks and panels are put, m."""
+"""Distance from the start to walls, blocks and panels, m."""
 
 
 def list_configs() -> dict[str, RoomConfig]:

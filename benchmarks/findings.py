@@ -1,4 +1,4 @@
-"""Shared parts of the conformance benchmarks: their rooms, and a file of findings to go on from."""
+"""Shared parts of the conformance benchmarks: their rooms, and a file of findings to continue from."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def list_batched_rooms(names: Collection[str] | None) -> Iterator[tuple[str, Roo
 
 
 def load_findings(path: str | None) -> dict[str, Any]:
-    """Room -> settings and findings of earlier calls; empty where there is no file yet."""
+    """Room -> settings and findings of earlier calls; empty without a file."""
     return read_json(path, "findings of a conformance check") if path and os.path.exists(path) else {}

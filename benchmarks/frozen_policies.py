@@ -4,7 +4,7 @@
 
 Trains `smdp-dqn+primitives`, at its defaults and at those before them (`studies/tuning.toml`). On the way it plays
 greedy episodes and looks at the choices of each that fails: a policy that comes back to a state goes round
-for ever, for it has no memory and the room no chance. Beside it stand the training episodes since the last look, whose
+for ever, as policy and room are deterministic. It is compared with the training episodes since the last look, whose
 exploration leads out of any cycle.
 """
 
@@ -49,7 +49,7 @@ class Look:
         escaped: the greedy episode.
         cycle: at its end, in choices; 0 for none.
         trained: training episodes.
-        escapes: those of them that escaped.
+        escapes: training episodes that escaped.
     """
 
     primitives: int
@@ -61,7 +61,7 @@ class Look:
 
 @dataclass
 class FrozenProbe:
-    """Looks at the frozen policy every so many primitives."""
+    """Evaluates the frozen policy at fixed intervals of primitives."""
 
     env: gymnasium.Env
     every: int
@@ -101,7 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--looks", type=int, default=20)
     chosen = parser.parse_args(arguments)
     print("| settings | seed | greedy episodes that fail | after one that escaped | in a cycle of one choice | of more "
-          "| training episodes beside these that escape |\n|---|---|---|---|---|---|---|")
+          "| training episodes around these that escape |\n|---|---|---|---|---|---|---|")
     for name, settings in SETTINGS.items():
         for seed in range(chosen.seeds):
             looks = look(chosen.room, settings, seed, chosen.primitives, chosen.looks)

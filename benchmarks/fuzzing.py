@@ -1,6 +1,6 @@
 """Thousands of calls of the public API with states, goals and arguments of right and wrong kinds and ranges.
 
-Run: `python -m benchmarks.fuzzing --count 20000`. The calls are those of `tests/fuzzing.py`. An error
+Run: `python -m benchmarks.fuzzing --count 20000`. The calls are listed in `tests/fuzzing.py`. An error
 that is neither the package's nor Gymnasium's is printed with its call; exits with 1 if there was one.
 """
 

@@ -4,7 +4,7 @@
     python -m benchmarks.gymnasium_suite Gymnasium                       # some five minutes
     python -m benchmarks.gymnasium_suite Gymnasium --ids PaperTwoButton Taxi
 
-`tests/envs/test_envs.py` checks the API, the passive checker, determinism and pickling; nothing of it is copied here.
+`tests/envs/test_envs.py` checks the API, the passive checker, determinism and pickling. It is not copied here.
 Gymnasium itself is the installed one. Where an id has wrappers, such as options, `check_env` also checks it with them.
 Exits with 1 if a test fails.
 """
@@ -98,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 1 where a test fails."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkout", type=Path, help="folder of a checkout of Gymnasium's repository")
-    parser.add_argument("--ids", nargs="*", default=(), help="words of which an id must contain one")
+    parser.add_argument("--ids", nargs="*", default=(), help="words, one of them required in an id")
     chosen = parser.parse_args(arguments)
     if not (chosen.checkout / SUITE).is_file():
         parser.error(f"{chosen.checkout} has no {SUITE}: give a checkout of github.com/Farama-Foundation/Gymnasium")

@@ -5,9 +5,9 @@ five). Each family presses every target of generated rooms, with arms of three j
 a first question about a target from a configuration of the arm, the room itself being prepared; `cached`
 a second one, from elsewhere; both are processor time.
 
-With `--compare`, so many plans a family are held against a fine joint search of base and arm: breadth first
-over primitives of the base on exact poses, told apart at 5 cm, every pose completed with its fewest joint
-steps. It ignores other targets on the way, so it may be lower than what can be done.
+With `--compare`, that many plans of a family are compared with a fine joint search of base and arm. It is breadth
+first over primitives of the base on exact poses, distinguished at 5 cm, with the fewest joint steps at every pose. It
+ignores other targets on the way, and can therefore find fewer primitives than possible.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def describe(seconds: list[float]) -> str:
 
 
 def find_fewest(reacher: Reacher, state: RoomState, target: int, most: int) -> int:
-    """Fewest primitives that press a target from a state on the lattice, or `most` if there are no fewer."""
+    """Fewest primitives that press a target from a state on the lattice, at most `most`."""
     room, kinematics = reacher.instance, reacher.kinematics
     solids = [s.footprint for s in (*room.solids, *((room.door,) if room.door else ()))]
     angles = kinematics.turn_step * np.arange(kinematics.headings)

@@ -1,9 +1,9 @@
 """Kills (SIGKILL) at random moments, each resumed by the same command, against work that was left alone.
 
 Run: `python benchmarks/kills.py --only train --kills 100` and so on; exits with 1 if a byte differs or a process
-outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` that of task
-hierarchies, `ray` the comparison on a Ray of this machine (extra `ray`). What is finished is compared and begun anew in
-another folder, until the kills are done.
+outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` the study of task
+hierarchies, `ray` the comparison on a Ray of this machine (extra `ray`). A finished run is compared and then repeated
+in another folder, until the kills are done.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from studies.__main__ import main as main_of_studies
 AGENTS = ("random", "dqn", "random-options", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
 LONGEST_SECONDS = 2.0
 ORPHAN_SECONDS = 60.0
-"""Longest that a process may outlive the one that was killed above it; on a busy machine it may be loading still."""
+"""Longest life of a process after its parent was killed; on a busy machine it can still be loading."""
 class Work(NamedTuple):
     """Work that is killed.
 
@@ -84,7 +84,7 @@ def read_compare(folder: Path) -> Any:
 
 
 def learn(folder: Path | None, primitives: int = 10_000) -> None:
-    """One run of short episodes, after each of which a checkpoint is due."""
+    """Train in short episodes, with a checkpoint after each."""
     torch.set_num_threads(1)
     room = generate(dataclasses.replace(get_preset("paper-two-button"), horizon=100), 0)
     env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"))
@@ -145,7 +145,7 @@ def find_newest(folder: Path, signs: str) -> int:
     """Time of the last change among the signs of progress, ns; 0 where there is none."""
     times = [0]
     for path in folder.glob(signs):
-        with contextlib.suppress(FileNotFoundError):  # written anew meanwhile
+        with contextlib.suppress(FileNotFoundError):  # rewritten meanwhile
             times.append(path.stat().st_mtime_ns)
     return max(times)
 

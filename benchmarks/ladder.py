@@ -7,15 +7,15 @@
     python -m benchmarks.ladder costs
 
 To freeze is to generate the rooms of every rung, to skip those that look alike, and to write the manifest's roots. A
-manifest needs a name and, for each rung, a name and a room configuration; counts have defaults. Whoever changes a
-frozen benchmark gives it another name.
+manifest needs a name and, for each rung, a name and a room configuration; counts have defaults. Give a changed
+frozen benchmark another name.
 
 In a calibration every agent is tested in the same few test rooms. Learners train in each of them from nothing, or with
 the protocol generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is
 sound where the planner, which knows the graph, reaches 1, and it is a step too high where a learner falls there from
 above 0.9 on the rung before to below 0.1. The exit code is 1 if any of this does not hold.
 
-Costs are seconds of training that the lines of studies tell, `hrl_escape/benchmark/costs.json`.
+Costs are seconds of training from the lines of studies, `hrl_escape/benchmark/costs.json`.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Calibrate:
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default."""
     agents: tuple[str, ...] = ()
-    """Learners beside chance, a shuffled round, the order of the numbers and the planner."""
+    """Agents in addition to the random policy, `sweep-random`, `sweep` and the planner."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     protocol: Literal["per-instance", "generalise"] = "per-instance"
@@ -84,7 +84,7 @@ class Freeze:
     """Options of the freezing of a manifest."""
 
     manifest: Annotated[Path, tyro.conf.Positional]
-    """Manifest file; it is written anew, with roots, skipped indices and task overlaps."""
+    """Manifest file; it is rewritten with roots, skipped indices and task overlaps."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +111,7 @@ def collect_rates(lines: Iterable[Mapping[str, Any]]) -> dict[str, dict[int, flo
 
 
 def read_lines() -> list[dict[str, Any]]:
-    """Lines of the studies that tell seconds of single runs."""
+    """Lines of the studies with seconds of single runs."""
     return [json.loads(line) for study in ("scaling", "price")
             for line in (_ROOT / f"studies/{study}/raw.jsonl").read_text(encoding="utf-8").splitlines()
             if '"seconds"' in line]
@@ -154,7 +154,7 @@ def calibrate(args: Calibrate) -> int:
 
 def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: Calibrate) -> dict[str, float]:
     """Efficiency of every agent on a rung."""
-    plain = LadderSettings(1, 100, args.rooms, (args.rooms,), args.rooms)  # yardsticks learn nothing
+    plain = LadderSettings(1, 100, args.rooms, (args.rooms,), args.rooms)  # yardsticks do not train
     settings = LadderSettings(args.runs, args.primitives, args.rooms, (args.rooms,),
                               args.eval_episodes if args.protocol == "per-instance" else args.rooms)
     grids = [make_protocol_grid(bench, rung, "generalise", tuple(map(AgentSpec.parse, _YARDSTICKS)), plain)]

@@ -8,7 +8,7 @@
 long a rollout of many environments is, and into how large minibatches it is cut. `sb3` is Stable-Baselines3's PPO at
 its defaults, `sb3-zoo` at those that RL Baselines3 Zoo tuned for the task. All are evaluated after the same numbers of
 primitives, of all environments together, in the same greedy episodes. Comparisons are paired by seed. Finished runs are
-kept, a line each, in the file `--out`; the command goes on where it was stopped.
+kept, a line each, in the file `--out`; the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Task:
         vector_arguments: further ones of many environments.
         zoo: arguments of `stable_baselines3.PPO` for 8 environments, from RL Baselines3 Zoo's `hyperparams/ppo.yml`.
         has_peer: Stable-Baselines3 can learn it, which knows no decisions of several primitives.
-        variants: of our agent's settings, beside the defaults.
+        variants: of our agent's settings, in addition to the defaults.
         episodes: greedy ones in an evaluation, the same in every run.
         numbers: of environments.
     """
@@ -87,7 +87,7 @@ VARIANTS: dict[str, Callable[[int], dict[str, Any]]] = {
     "small minibatches": lambda count: {"rollout": 32 * count},
     "both": lambda count: {"stream_rollout": max(1, LONGEST // count), "rollout": LONGEST},
 }
-"""Settings for so many environments; a minibatch is of 64 decisions where a rollout has no more than `rollout`."""
+"""Settings for a number of environments; a minibatch is of 64 decisions where a rollout has no more than `rollout`."""
 
 
 class Contender(NamedTuple):
@@ -105,8 +105,8 @@ PAIRS = (*((Contender("defaults", count), ONE) for count in (8, 64, MOST)),
          *((Contender(name, MOST), Contender("defaults", MOST)) for name in VARIANTS if name != "defaults"),
          (Contender("short rollouts", MOST), Contender("defaults", 64)), (Contender("both", MOST), ONE),
          *((Contender("defaults", PEER_NUMBER), Contender(name, PEER_NUMBER)) for name in ("sb3", "sb3-zoo")))
-"""Contenders that are compared seed by seed. Short rollouts of many environments are as large as those of 64 at the
-defaults, and cut alike: they differ in how far a stream is followed."""
+"""Contenders that are compared seed by seed. Short rollouts of many environments are as large as of 64 at the
+defaults, and cut alike: they differ in how far an environment is followed."""
 EVERY = tuple(dict.fromkeys(contender for pair in PAIRS for contender in reversed(pair)))
 Score = Callable[[Any], float]
 
@@ -121,10 +121,10 @@ def list_contenders(task: Task) -> list[Contender]:
 
 
 class Marks:
-    """Evaluates whoever passes a mark.
+    """Evaluates an agent when it passes a mark.
 
     Args:
-        marks: primitives after which to evaluate.
+        marks: numbers of primitives before each evaluation.
         score: evaluates.
 
     Attributes:
@@ -141,7 +141,7 @@ class Marks:
         return len(self.scores) == len(self._marks)
 
     def reach(self, primitives: int, learner: Any) -> None:
-        """Evaluate, if so many primitives pass a mark."""
+        """Evaluate if the number of primitives passes a mark."""
         while not self.is_over and primitives >= self._marks[len(self.scores)]:
             self.scores.append((self._marks[len(self.scores)], self._score(learner)))
 
@@ -253,10 +253,10 @@ def describe(comparison: Comparison) -> str:
         says = f"{'more' if whole.difference > 0 else 'less'} than {second}, by {_describe_size(whole)} over the run"
         says = f"{first} learns {says}"
     else:
-        says = f"Between {first} and {second} no difference is shown over the run ({_describe_gap(whole)})"
+        says = f"Between {first} and {second} there is no significant difference over the run ({_describe_gap(whole)})"
     if final.p >= SURE:
-        return f"{says}; nor at its end ({_describe_gap(final)})." if whole.p >= SURE else (
-            f"{says}; at its end no difference is shown ({_describe_gap(final)}).")
+        return f"{says}, nor at its end ({_describe_gap(final)})." if whole.p >= SURE else (
+            f"{says}; at its end there is no significant difference ({_describe_gap(final)}).")
     where = "higher" if final.difference > 0 else "lower"
     return f"{says}; {'it' if whole.p < SURE else 'the first'} ends {_describe_size(final)} {where}."
 

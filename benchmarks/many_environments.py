@@ -1,19 +1,19 @@
 """Many environments at once: how many primitives are learned from in a second, options run, pictures taken?
 
-    python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
+    python -m benchmarks.many_environments rates               # one room at 1 to 4,096, against SB3
     python -m benchmarks.many_environments rates --counts 4096 --threads 2    # both cores at work
-    python -m benchmarks.many_environments options             # options a second, beside the single environment
+    python -m benchmarks.many_environments options             # options a second, against the single environment
     python -m benchmarks.many_environments decisions           # options a second that are learned from
-    python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
+    python -m benchmarks.many_environments pixels              # frames of the robot's camera, against Bullet's
     python -m benchmarks.many_environments rates --device cuda --counts 4096 65536 --contenders "1 epoch"
     python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
-`ppo` at its default settings but for the epochs, `dqn` at its own, with which it learns from a primitive 16 times, and
+`ppo` at its default settings except epochs, `dqn` at its own, where it learns from a primitive 16 times, and
 with the minibatches of Mnih et al. (2015), 8 times; Stable-Baselines3's PPO (`sb3`) at its own (10 epochs), with 1 and
 8 environments. Whether as much is learned from equally many primitives is the question of
 `benchmarks.learning_curves` and `benchmarks.environments_scaled`. Rates are of processor time, and of wall time, which
-is the one to read with several threads. A run warms up before it is timed, so that nothing is compiled meanwhile.
-Finished runs are kept, a line each, in the file `--out`; the command goes on where it was stopped.
+is the one to read with several threads. A run warms up before it is timed, which excludes compilation. Finished runs
+are kept, a line each, in the file `--out`; the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ CHOOSING = ("PaperTwoButton", "ArmTwoButton")
 PEERS = (1, 8)
 PICTURED = ("PaperTwoButton", "Clutter")
 COMPILED = 512
-"""Environments from which on rooms are compiled: fewer do not spend enough to be worth it."""
+"""Smallest number of environments with compiled rooms: fewer do not spend enough to be worth it."""
 RATED: dict[str, tuple[str, dict[str, Any]]] = {
     "10 epochs": ("ppo", {}), "4 epochs": ("ppo", {"epochs": 4}), "1 epoch": ("ppo", {"epochs": 1}), "dqn": ("dqn", {}),
     "dqn, 8 times": ("dqn", {"batch_size": 32})}

@@ -39,7 +39,7 @@ LEFT_OUT = ("NoOp", "RemoveDecorator", "ExceptionReplacer", "Variable", "BinaryO
 MOST_MODULES = 4
 """Test modules tried against one mutant."""
 TO_COMPILE = 200
-"""Further processor seconds where the mutant is in a kernel: all kernels are compiled anew."""
+"""Further processor seconds where the mutant is in a kernel: all kernels are compiled again."""
 PACKAGE = ROOT / "hrl_escape"
 
 
@@ -59,7 +59,7 @@ def list_changed(since: str) -> list[str]:
 
 
 def list_places(file: str) -> list[list[Place]]:
-    """Mutants of a file, those of one place in it together."""
+    """Mutants of a file, grouped by place."""
     tree = cosmic_ray.ast.get_ast((ROOT / "hrl_escape" / file).read_text(encoding="utf-8"))
     nodes = list(cosmic_ray.ast.ast_nodes(tree))
     places: dict[object, list[Place]] = {}
@@ -113,8 +113,8 @@ def _find_origin(module: str, name: str) -> str | None:
 def find_tests(file: str) -> list[str]:
     """Test modules that may see a file's bugs, the nearest first.
 
-    Its own, then those that import it, at once or through one other file (those of its folder's mirror first), then
-    the mirror's others that reach it through more.
+    First the module's own, then modules that import the file directly or through one other file, first in its folder's
+    mirror. Last the mirror's other modules that reach it through more.
     """
     tests, folder = ROOT / "tests", Path(file).parent
     own = [folder / f"test_{Path(file).stem}.py", folder.parent / f"test_{folder.name}.py"]
@@ -141,7 +141,7 @@ def draw(files: Iterable[str], seed: int) -> Iterator[Place]:
 
 
 class Trial:
-    """A copy of the package in which mutants are tried.
+    """A copy of the package to try mutants in.
 
     Args:
         folder: where it is made.
@@ -151,10 +151,10 @@ class Trial:
     def __init__(self, folder: Path, seconds: int) -> None:
         self.copy, self.seconds = PackageCopy(folder), seconds
         self.passes: dict[str, bool] = {}
-        """Whether a module passes in time without a mutant."""
+        """True if a module passes in time without a mutant."""
 
     def find_witness(self, place: Place) -> str | None:
-        """The first test module that sees a mutant, or takes twice the time; None if all pass."""
+        """The first test module that sees a mutant, or takes twice the time, or None if all pass."""
         changed = mutate(place)
         seconds = 2 * self.seconds + TO_COMPILE * (place.file in kernels.SOURCES)
         tests = itertools.islice(filter(self._does_pass, find_tests(place.file)), MOST_MODULES)

@@ -1,4 +1,4 @@
-"""Option-critic in Four Rooms beside SARSA and Q-learning: recovery after the goal has moved.
+"""Option-critic in Four Rooms against SARSA and Q-learning: recovery after the goal has moved.
 
 The goal is the east hallway for the first half of the episodes, then a cell of the south-east room, drawn by seed.
 
@@ -29,7 +29,7 @@ from tests.classic.four_rooms import EAST_HALLWAY, SOUTH_EAST_GOALS, FourRooms
 STARTS = [cell for cell in range(104) if cell != EAST_HALLWAY]
 MASK = np.ones(4, np.bool_)
 PUBLISHED: dict[str, Any] = {"gamma": 0.99, "reward_scale": 1.0}
-"""The defaults of option-critic are those of the program of 2017."""
+"""The defaults of option-critic are the settings of the program of 2017."""
 TUNED: dict[str, Any] = {"gamma": 0.99, "learning_rate": 0.5, "epsilon_start": 0.01, "epsilon_end": 0.01,
                          "initial_value": 1.0}
 """Settings of Q-learning, the best of 12 by `--tune --episodes 600`, on seeds that the table does not use."""
@@ -83,7 +83,7 @@ class Args:
     episodes: int = 2_000
     """Episodes a seed; the goal moves after half of them."""
     slip: Literal["extra", "neighbour"] = "extra"
-    """`extra` is that of the published program, `neighbour` that of the text."""
+    """Slip of the published program, `extra`, or of the text, `neighbour`."""
     learners: tuple[str, ...] = ()
     """Rows; all by default."""
     tune: bool = False

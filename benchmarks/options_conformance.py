@@ -36,7 +36,7 @@ OWN = {
     "rectangle-turning": dataclasses.replace(RECTANGLE, robot=dataclasses.replace(RECTANGLE.robot,
                                                                                   drive="differential")),
 }
-"""Rooms beside the presets: a hand that grips, and rectangular bases."""
+"""Rooms in addition to the presets: a hand that grips, and rectangular bases."""
 
 
 @dataclasses.dataclass

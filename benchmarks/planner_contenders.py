@@ -1,9 +1,9 @@
-"""All planners on the same queries: number of primitives beside a near-exact reference, and time.
+"""All planners on the same queries: number of primitives against a near-exact reference, and time.
 
 The idea is OMPL's Planner Arena (Moll, Sucan and Kavraki 2015). Queries are drawn without any
 planner's help: from certified free places of generated rooms to the rooms' own goals, or to other
 free places. Measured are the search along cost-to-go fields, the corridor search round each path
-planner's path, and `auto`, which chooses between the two; beside them a path planner's bare path, for a base
+planner's path, and `auto`, which chooses between the two. A path planner's bare path is measured as well, for a base
 that needs no primitives. Each query is timed three times: in a room
 that nobody has asked anything yet, in a room that knows another goal, and with its own goal known.
 """
@@ -47,7 +47,7 @@ FIELDS = "fields"
 PATH = "-path"
 """End of the name of a contender that is a path planner alone, as in `RRTConnect-path`."""
 LIMITS = MotionLimits()
-"""Limits under which times of motion are computed."""
+"""Limits for times of motion."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,7 +89,7 @@ FLOORS = {
     "places, 60 m": Floor(_WIDE[60.0], "places", has_reference=False),
     "places, 200 m": Floor(_WIDE[200.0], "places", has_reference=False),
 }
-"""Kinds of queries on which planners are compared, on floors of 20 x 20 m unless the name says otherwise."""
+"""Kinds of queries to compare planners on, on floors of 20 x 20 m unless the name says otherwise."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,7 +102,7 @@ class Query:
         state: first state.
         goal: the goal.
         other: another goal of the room.
-        fewest: number of primitives that the near-exact reference needs; 0 where there is no reference.
+        fewest: number of primitives that the near-exact reference needs; 0 without a reference.
     """
 
     floor: str
@@ -179,7 +179,7 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
 
     Args:
         floor: one of `FLOORS`, or any name if `config` is given.
-        seeds: instance seeds, one room each; those of which no room can be made are left out.
+        seeds: instance seeds, one room each; seeds without a room are left out.
         each: number of queries in a room; their goals cycle through its buttons and exit, or are free places.
         config: another room configuration; its buttons are pressed by the body and its exit has no door.
     """
@@ -189,7 +189,7 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
         try:
             instance = generate(kind.config, seed)
         except GenerationError:
-            continue  # a floor of 200 m may take more work than a certificate is given
+            continue  # a floor of 200 m can take more work than a certificate is given
         search = PrimitiveSearch(instance)
         rules, rng = search.kinematics, np.random.default_rng([seed, 3])
         space = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, instance.solids)
@@ -211,7 +211,7 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
 
 def _draw_state(rules: Kinematics, space: FreeSpace, cells: np.ndarray, begin: RoomState, goal: Goal,
                 rng: np.random.Generator) -> RoomState:
-    """Draw a free place and a heading at which the goal is not reached yet."""
+    """Draw a free place and a heading that does not reach the goal yet."""
     while True:
         x, y = space.grid.get_centres(cells[rng.integers(len(cells))]).tolist()
         heading = int(rng.integers(rules.headings))

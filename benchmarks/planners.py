@@ -1,11 +1,11 @@
 """Measure planners on the same queries: success, primitives, ratio to the fewest, times.
 
 The contenders are the search along cost-to-go fields, for each path planner the search in a corridor
-round its path, and the method auto, which chooses between the two. Beside them stands a path planner's bare path, for
+round its path, and the method auto, which chooses between the two. A path planner's bare path is measured as well, for
 a base that needs no primitives. The fewest primitives come from a
 slow, near-exact reference; on floors of 60 m and more, from the best contender.
-Times are those of the first query in a room, of a goal that is new to a known room, and of the same goal
-again; compilation is in none of them.
+Times are for the first query in a room, for a goal that is new to a known room, and for the same goal again, all
+without compilation.
 
 Examples:
     python -m benchmarks.planners

@@ -2,9 +2,8 @@
 
 Run: `python benchmarks/planning.py` (four minutes on one core, one with `--plans 1000`); exits with 1
 if a target is missed. A plan is a whole meta-action, checked by replay; cached is the same question
-again. Times are CPU time of this thread, so that a busy machine shows less in them; wall time
-stands beside.
-How few primitives the plans take is `python -m benchmarks.planners --contenders fields --rooms 20 --queries 10`.
+again. Times are CPU time of this thread, which depends less on a busy machine; wall time is printed as well.
+For the number of primitives of plans run `python -m benchmarks.planners --contenders fields --rooms 20 --queries 10`.
 """
 
 from __future__ import annotations
@@ -125,7 +124,7 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
             if name == "plan":
                 wandered = wander(planner, wandered, rng)
                 planner.plan(wandered, target)
-            elif name == "answer":  # planned anew each time: nothing is remembered
+            elif name == "answer":  # planned each time, without a cache
                 planner.answer(PlanningRequest(state, target, improve=number % 200 == 0))
                 planner = planner.adapt(instance)
             elif name == "fields":

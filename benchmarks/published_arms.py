@@ -1,8 +1,8 @@
-"""Arms as they are published, by URDF and SRDF: inverse kinematics, pairs of links that may touch, named postures.
+"""Published arms, by URDF and SRDF: inverse kinematics, pairs of links that can touch, named postures.
 
 Run: `python -m benchmarks.published_arms` (four minutes of a core) after `pip install --no-deps example-robot-data`, or
 `--robots FOLDER` with the folder that has its `ur_description`; exits with 1 if a target is missed. Forty positions and
-forty poses of an arm are those of joint angles drawn within its limits, each solved from the default starts, collisions
+forty poses of an arm come from joint angles drawn within its limits, each solved from the default starts, collisions
 left aside. Pairs are compared with the SRDF's own list, read here without the package: of all links with a shape, those
 neither joined nor listed are tested. Last, a UR5 on a map of ROS's map_server reaches over a table.
 """

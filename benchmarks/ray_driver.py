@@ -1,4 +1,4 @@
-"""Share of a core that the process which launches runs on Ray needs, with short runs of an agent that learns nothing.
+"""Share of a core that the launching process needs on Ray, with short runs of the random policy.
 
 python benchmarks/ray_driver.py --runs 200 --workers 2
 """

@@ -2,8 +2,8 @@
 
     python -m benchmarks.recordings data
 
-Reads the recordings that come with the package and, of other names, those of a folder, and writes what each is, a line
-each: the hash of its content, its size, and its scores. What the table holds already of other recordings is kept. A
+Reads the recordings that come with the package and, under other names, the recordings of a folder. Writes a line for
+each: the hash of its content, its size, and its scores. Lines of other recordings in the table are kept. A
 recording that `hrl-escape data make` kept as `NAME.other.npz`, since it is not the published one, replaces it once it
 is renamed.
 """
@@ -37,7 +37,7 @@ class Args:
 
 
 def describe_recording(spec: DataSpec, path: Path) -> PublishedRecording:
-    """What the recording of a data set is.
+    """Describe the recording of a data set.
 
     Raises:
         VerificationError: it is a trial, or a recording of another name.
@@ -45,7 +45,7 @@ def describe_recording(spec: DataSpec, path: Path) -> PublishedRecording:
     recording = load_recording(path)
     if recording.about["name"] != spec.name or len(recording.action) < spec.primitives:
         raise VerificationError(f"{path} holds {len(recording.action):,} primitives of {recording.about['name']}, and "
-                                f"{spec.name} has {spec.primitives:,}; move it away and record it anew")
+                                f"{spec.name} has {spec.primitives:,}; move it away and record it again")
     scores = {name: round(recording.about["scores"][name], 3) for name in SCORES}
     counts = (len(recording.action), len(recording.option), len(recording.room))
     return PublishedRecording(recording.content, path.stat().st_size, *counts, scores)
@@ -60,7 +60,7 @@ def write_line(name: str, recording: PublishedRecording) -> str:
 
 
 def read_recordings(folder: Path) -> dict[str, PublishedRecording]:
-    """What the recordings are that come with the package, and those of a folder whose names do not."""
+    """Describe the recordings that come with the package, and recordings of a folder with other names."""
     recordings: dict[str, PublishedRecording] = {}
     for spec in list_specs():
         for path in (PUBLISHED.parent / f"{spec.name}.npz", folder / f"{spec.name}.npz"):

@@ -34,7 +34,7 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
         state: first state; the goal must not be reached or touched there.
         goal: the goal.
         area: footprint of the goal.
-        reach: distance from it at which the goal is reached, m.
+        reach: largest distance from it that reaches the goal, m.
         bins: poses closer than this count as one, m.
         most: give up beyond this many poses.
 
@@ -42,7 +42,7 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
         The primitives, or None if none were found.
 
     Raises:
-        UnsupportedError: the base is no disc.
+        UnsupportedError: the base is not a disc.
     """
     instance = kinematics.instance
     if not instance.robot.base.turns_anywhere:

@@ -8,9 +8,9 @@ To measure is to play an episode in each of the first test rooms: random choices
 planner, and `bayes` where all graphs can be listed. What was measured before is kept.
 
 To choose is to go along each axis of a profile, whose candidates stand from easy to hard, and to measure its yardstick
-in rooms that are in no set: the best search baseline, or random moves. Rung by rung the candidate is taken whose
-efficiency is nearest to the next of the targets. No learner is looked at. Measured efficiencies stay in
-`NAME-calibration.json` beside the file; the manifest is `python -m benchmarks.ladder freeze`'s.
+in rooms that are in no set: the best search baseline, or random moves. Rung by rung, the candidate with the efficiency
+nearest to the next target is chosen, without any training. Measured efficiencies stay in
+`NAME-calibration.json` next to the file; `python -m benchmarks.ladder freeze` writes the manifest.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from hrl_escape.sets.rung import Rung, derive_seed
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/benchmark/data/references"
 CHANCE, MOVES = "random-options", "random"
 YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": SEARCHES, "moves": (MOVES,)}
-"""Agents of which the best is an axis's yardstick."""
+"""Agents whose best efficiency is the yardstick of an axis."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Choose:
 
 
 def play(agent: str, rooms: InstanceSet) -> float | None:
-    """Mean efficiency of who does not learn; None where the puzzle is not for it."""
+    """Mean efficiency of a reference agent, or None if the puzzle does not suit it."""
     from studies.unseen import make_unseen, play_agent  # loads torch and the batched engine, ten seconds
 
     spec = AgentSpec.parse(agent)
@@ -86,7 +86,7 @@ def compute_entropy(family: GraphFamily) -> float:
 
 
 def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) -> tuple[float, float]:
-    """Bits that marks and places of rooms tell of the hidden graph, and bits that there are to tell of graph and rule.
+    """Bits that cues and places of rooms reveal about the hidden graph, and bits of graph and rule in total.
 
     Means over rooms.
 
@@ -110,7 +110,7 @@ def measure_rung(rung: Rung, rooms: int) -> RungReferences:
             told, hidden = (round(bits, 3) for bits in measure_information(puzzle, tested))
             bayes = play(BAYES, tested)
         except UnsupportedError:
-            pass  # too many graphs, of which bayes would play by a sample
+            pass  # too many graphs: the Bayes planner would sample
     return RungReferences(found[CHANCE] or 0.0, search, by, found[ORACLE] or 0.0, bayes, told, hidden)
 
 

@@ -1,7 +1,7 @@
 """Load and plan with every URDF, SRDF and map of a folder: `python -m benchmarks.robots FOLDER`.
 
-For each URDF the table says whether it loads, how far the hand is from where Pinocchio has it, and whether a motion of
-its longest arm (up to seven joints) is planned. For each SRDF it says how many postures and pairs it gives the URDF
+For each URDF the table shows whether it loads, how far the hand is from where Pinocchio has it, and whether a motion of
+its longest arm (up to seven joints) is planned. For each SRDF it shows how many postures and pairs it gives the URDF
 of its robot, for each map how many cells are solid. Every file runs in its own process, and crashes are counted.
 The folder of `example-robot-data` (125 MB) is a good start: `pip download --no-deps example-robot-data`, then unzip.
 """

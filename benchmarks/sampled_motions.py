@@ -1,4 +1,4 @@
-"""Trajectories by OMPL and Pinocchio beside those of plans of primitives, from the same states to the same goals.
+"""Trajectories by OMPL and Pinocchio against trajectories of plans, from the same states to the same goals.
 
 Run: `python -m benchmarks.sampled_motions --rooms 4`; exits with 1 if a trajectory is wrong. Every leg of every escape
 is asked for. What was found is checked as in `benchmarks/trajectories.py`, by touches at 1 kHz, limits and gaps to

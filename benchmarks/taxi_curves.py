@@ -1,4 +1,4 @@
-"""Learning curves of MAXQ-0 and HAMQ on Taxi, beside the public ones of Bai and Russell (2017).
+"""Learning curves of MAXQ-0 and HAMQ on Taxi, against the public ones of Bai and Russell (2017).
 
 Examples:
     python -m benchmarks.taxi_curves --seeds 2 --episodes 4096

@@ -57,7 +57,7 @@ def check_decisions(masks: Any, actions: Any, rewards: Any, infos: Any) -> str:
     """Hold what a library has stored against the contract of `OptionsEnv`; returns what was compared.
 
     Args:
-        masks: (n, actions), by which each action was chosen.
+        masks: (n, actions), at the choice of each action.
         actions: (n,).
         rewards: (n,).
         infos: duration, discount and discounted reward of each decision, (3, n).

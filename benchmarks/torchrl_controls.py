@@ -3,8 +3,8 @@
     python -m benchmarks.torchrl_controls
     python -m benchmarks.torchrl_controls --runs 2 --primitives 1000
 
-Runs take turns in one process on one thread. An update is a step of Adam; its time is that of `observe`, replay and
-advantages included, in seconds of processor time.
+Runs alternate in one process on one thread. An update is a step of Adam; its time is the time of `observe` with replay
+and advantages, in seconds of processor time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CONTROLS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "dqn": ({"n_step": 1, "average_rate": 0.0}, {}),
     "ppo": ({}, {"value_weight": 0.25}),  # of the whole squared error, where ours weighs half of it
 }
-"""What equal settings of fields of one name leave to be said: of this project's agent, and of TorchRL's."""
+"""Remaining differences after fields of one name are set equal: of this project's agent, and of TorchRL's."""
 
 
 class Outcome(NamedTuple):

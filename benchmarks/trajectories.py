@@ -1,8 +1,8 @@
 """Trajectories of escapes over puzzles, bodies and hands: what each presses, and whether it keeps every limit.
 
 Run: `python benchmarks/trajectories.py --count 1000`; exits with 1 if a trajectory that was made is wrong. Each is
-checked by what made no part of it: rising edges of touch at 1 kHz against the plan's, limits at 1 kHz and by the
-polynomials between knots, gaps of the base to all solids. A plan for which none was found is counted by its message.
+checked independently: rising edges of touch at 1 kHz against the plan, limits at 1 kHz and by the polynomials between
+knots, gaps of the base to all solids. A plan without a trajectory is counted by its message.
 
 With `--physics 10` options drive trajectories in Bullet's physics instead, in ten rooms of each of `DRIVEN`, in the
 order of an escape; exits with 1 if fewer than 99 % of them end as planned: their own target pressed and no other.
@@ -46,7 +46,7 @@ DRIVEN = ("paper-two-button", "paper-random", "clutter", "clutter, rectangle", "
 MOST_FAILURES = 5
 """Options in a row that may fail before a room is given up."""
 SLACK = 1e-6
-"""Share by which rounding may exceed a limit."""
+"""Share of a limit that rounding can exceed."""
 CLOCK_ROUNDING = 1e-12
 """Error of a time at a knot, which is a sum, s."""
 
@@ -109,7 +109,7 @@ def list_presses(plan: Plan) -> list[tuple[int, ...]]:
 
 
 def list_touches(rules: Kinematics, before: int, places: NDArray[np.float64]) -> list[int]:
-    """Targets whose touch begins along places (n, coordinates), in order; those of the bits `before` are touched."""
+    """Targets whose touch begins along places (n, coordinates), in order; targets of the bits `before` are touched."""
     found, home = [], np.array(rules.robot.home)
     still = (0,) * len(home)
     for x, y, heading, *angles in places.tolist():
@@ -135,7 +135,7 @@ def measure_peaks(trajectory: TimedTrajectory, limits: MotionLimits) -> dict[str
         tops = np.column_stack([-square / (3.0 * cubic), plane])
     tops = np.clip(np.nan_to_num(tops), 0.0, spans[:, None])
     moments = np.concatenate([times, *(starts + top for top in tops.T), starts + spans])
-    rounding = 12.0 * rates[:, 0] * CLOCK_ROUNDING / spans[:, None] ** 3  # of a third derivative, from that of times
+    rounding = 12.0 * rates[:, 0] * CLOCK_ROUNDING / spans[:, None] ** 3  # of a third derivative
     jerk = np.maximum(np.abs(6.0 * cubic) - rounding, 0.0)
     found = {"speed": trajectory.evaluate(moments, 1), "acceleration": trajectory.evaluate(moments, 2), "jerk": jerk}
     is_base = trajectory.names[:2] == ("x", "y")
@@ -171,7 +171,7 @@ def drive(config: RoomConfig, seed: int, planner: str) -> tuple[bool, list[str],
     """Escape from a room in Bullet's physics by tracked options.
 
     Returns:
-        Whether it escaped; of each option what went wrong, empty if nothing did; after each step the distance of the
+        True if it escaped; for each option its error, empty without one; after each step the distance of the
         base, heading and worst joint from the trajectory, shape (3,), m and rad.
     """
     dynamics = dataclasses.replace(config.dynamics, kind="physics")
@@ -230,8 +230,8 @@ def main() -> None:
     """Count faults by room configuration."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=100)
-    parser.add_argument("--first", type=int, default=0, help="number of the first, to go on where a run ended")
-    parser.add_argument("--physics", type=int, metavar="ROOMS", help="drive so many rooms of each kind in physics")
+    parser.add_argument("--first", type=int, default=0, help="number of the first, to continue a run")
+    parser.add_argument("--physics", type=int, metavar="ROOMS", help="number of rooms of each kind to drive in physics")
     parser.add_argument("--names", nargs="+", choices=DRIVEN, default=DRIVEN, help="rooms driven in physics")
     parser.add_argument("--planner", default="auto", help="of the options, as in `OptionsEnv`")
     chosen = parser.parse_args()

@@ -1,8 +1,8 @@
 """Two buttons, 20,000 primitives, ten seeds: do agents over options reach a score of 0.95, and what do others do?
 
 Run: `python benchmarks/two_button.py` (about four minutes on two cores); the report is in `runs/two-button`. Exits
-with 1 if smdp-dqn+primitives or smdp-q-learning+primitives falls short. Flat agents and the random policies are
-reported as they are.
+with 1 if smdp-dqn+primitives or smdp-q-learning+primitives falls short. Flat agents and the random policies are only
+reported.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Compiled kernels: one decorator, one cache on disk, and one clock that excludes compilation.
 
-The key of the cache contains the package's version and the sources of all kernels. An upgrade never loads code that an
-older version compiled, and all checkouts of the same sources share the cache. Compilation is announced on stderr.
-`read_clock` stops while numba compiles or loads a kernel, which keeps that out of every measured or limited time.
+The key of the cache contains the package's version and the code of all kernels, without docstrings and comments. An
+upgrade never loads code that an older version compiled, and all checkouts of the same code share the cache. Compilation
+is announced on stderr. `read_clock` stops while numba compiles or loads a kernel, which keeps that out of every
+measured or limited time.
 Importing this module imports numba.
 """
 
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 import tempfile
 import threading
@@ -30,8 +32,13 @@ SOURCES = ("agents/factored/search.py", "agents/factored/structure.py", "env/bas
            "planning/arm/joint_lattice.py", "planning/search/a_star.py")
 """Files, relative to the package, that compiled code depends on: functions, constants and tuple types."""
 WITHOUT_BASES = ("agents/factored/search.py", "agents/factored/structure.py", "planning/arm/joint_lattice.py")
-"""Those of `SOURCES` whose kernels contain no function of a base, so a new base leaves what is compiled valid."""
+"""Members of `SOURCES` whose kernels contain no function of a base. Their compiled code stays valid with a new base."""
 
+_PROSE = re.compile(rb"""
+    ^[ \t]*\"{3}[\s\S]*?\"{3}                              # a docstring, or the description of an attribute
+    | [ \t]*\#.*                                           # a comment
+    | ("(?:\\.|[^"\\\n])*" | '(?:\\.|[^'\\\n])*')          # any other text, which can contain a # of its own
+    """, re.MULTILINE | re.VERBOSE)
 _PARTS = {"agents": "structure learning", "env": "the room's geometry", "floor": "ways over the floor",
           "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
 """Purpose of the kernels of each part of the package, for the progress line."""
@@ -66,6 +73,17 @@ class SourceLocator(UserProvidedCacheLocator):
             return super().get_suitable_cache_subpath(py_file)
         return "-".join(folder.relative_to(package.parent).parts)
 
+    def get_source_stamp(self) -> Any:
+        """Return a constant for files of the package, whose code is part of the folder's name."""
+        return "" if self._is_own() else super().get_source_stamp()
+
+    def get_disambiguator(self) -> str:
+        """Return a constant for files of the package, whose line numbers change with docstrings."""
+        return "" if self._is_own() else super().get_disambiguator()
+
+    def _is_own(self) -> bool:
+        return Path(self._py_file).resolve() in {Path(__file__).resolve().parent / name for name in SOURCES}
+
 
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     before = _CONFIG.CACHE_DIR, getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", "")
@@ -98,12 +116,14 @@ def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = Non
     """Return the folder of compiled kernels; the variable NUMBA_CACHE_DIR moves it.
 
     Args:
-        more: files that are part of the kernels besides the package's own.
+        more: files that are part of the kernels besides the package's own; a change of their docstrings counts, too.
         own: the package's own files, `SOURCES` by default.
     """
     package = Path(__file__).parent
     sources = hashlib.sha256()
-    for file in (*(package / name for name in (SOURCES if own is None else own)), *more):
+    for name in SOURCES if own is None else own:
+        sources.update(strip_prose((package / name).read_bytes()))
+    for file in more:
         sources.update(file.read_bytes())
     folder = f"{__version__}-{sources.hexdigest()[:12]}"
     chosen = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
@@ -115,6 +135,12 @@ def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = Non
         if os.access(base / "hrl_escape" / folder, os.W_OK):
             return base / "hrl_escape" / folder
     return Path(tempfile.mkdtemp(prefix="hrl_escape-"))
+
+
+def strip_prose(source: bytes) -> bytes:
+    """Return a module's code without docstrings, comments and empty lines."""
+    lines = _PROSE.sub(lambda found: found[1] or b"", source).splitlines()
+    return b"\n".join(line for line in lines if line.strip())
 
 
 def read_clock() -> float:

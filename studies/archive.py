@@ -18,7 +18,7 @@ from hrl_escape.env.poses import RoomState
 __all__ = ["ArchiveSettings", "Exploration", "explore"]
 
 Moves = tuple[Any, ...] | None
-"""A way as its last move and the way before it; None for no move at all."""
+"""A way as its last move and the way before it, or None for no move."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class ArchiveSettings:
 
     Attributes:
         cell: width of a cell, m.
-        headings: headings that are told apart, over a full turn.
+        headings: distinct headings over a full turn.
         steps: primitives of an exploration.
         repeat: probability that a primitive of it is the one before.
         returns: `state` puts the robot into the cell, which costs no primitive and is a privilege; `moves` plays the
@@ -46,7 +46,7 @@ class Exploration(NamedTuple):
 
     Attributes:
         primitives: run in all, without evaluations.
-        first_escape: primitives at its end; None if none came.
+        first_escape: primitives at its end, or None without one.
         lengths: (primitives, length of the shortest known escape or None) at each evaluation.
         moves: of the shortest escape.
     """
@@ -67,7 +67,7 @@ class _Archive:
         self._chosen = np.zeros(1_024)
 
     def add(self, cell: Any, length: int, moves: Moves, state: RoomState) -> None:
-        """Keep a way to a cell that is new, or to which it is shorter; the cell counts as new then."""
+        """Keep a way to a new cell, or a shorter way to a known one; the cell then counts as new."""
         number = self._numbers.setdefault(cell, len(self.ways))
         if number == len(self.ways):
             self.ways.append((length, moves, state))

@@ -23,13 +23,13 @@ class BaselineRun:
         rooms: room, or sets of rooms, in short text.
         agent: label.
         seed: of training.
-        primitives: training budget; 0 for agents that learn nothing.
+        primitives: training budget; 0 for agents without training.
         efficiency: in the last fifth of training.
-        seen: the same in rooms trained in; None where they are those tested in.
+        seen: the same in rooms trained in, or None if test rooms are the training rooms.
         escapes: share of the evaluation episodes of the last fifth that escaped.
         episodes: in an evaluation.
         progress: mean share of the facts on the way to the goal that hold.
-        first_escape: primitives to the first escape in training; None if there was none.
+        first_escape: primitives to the first escape in training, or None without one.
         key: hash of everything that decides the run's numbers.
     """
 

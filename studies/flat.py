@@ -46,11 +46,10 @@ __all__ = ["ARCHIVE", "CORNER", "TENTHS", "FlatArgs", "FlatJob", "FlatLearner", 
            "count_untrained", "find_until", "list_learners", "measure_flat_runs", "run_flat"]
 
 CORNER = 0.8
-"""Share of the way from the middle to a wall from which on, along both walls, the robot is in a corner: 4 % of the
-floor."""
+"""Share of the way from the middle to a wall. Robots beyond it along both walls are in a corner: 4 % of the floor."""
 TENTHS = 10
 ARCHIVE = "archive"
-"""Name of the learner that is no agent: `studies.archive`."""
+"""Name of the learner that is not an agent: `studies.archive`."""
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,11 @@ class FlatArgs(StudyArgs):
     agents: tuple[str, ...] = ()
     """Labels of the learners to run; all by default."""
     runs: int | None = None
-    """Runs of each; those of `study.toml` by default."""
+    """Runs of each; from `study.toml` by default."""
     first_seed: int = 0
     """Lowest seed."""
     minutes: float | None = None
-    """Minutes after which no further run is begun."""
+    """Minutes before the last start of a run."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ class FlatLearner:
         agent: name, or `ARCHIVE`.
         settings: fields to change.
         streams: copies of the room that it learns in at once, compiled; 0 for one ordinary environment.
-        repeat: primitives for which each chosen action is repeated; only with streams.
+        repeat: repetitions of each chosen action, in primitives; only with streams.
         budget: primitives, where not the study's.
         sizes: numbers of buttons, where not all of the study's.
     """
@@ -100,10 +99,10 @@ class FlatRun:
         seed: of training; chooses the room where the study has several.
         fewest: primitives of the best known escape.
         budget: primitives; a run that ended early has spent what its last evaluation says.
-        first_escape: primitives, of all streams together, at the end of the first training episode that escaped; None
-            if none did.
+        first_escape: primitives, of all streams together, at the end of the first training episode that escaped, or
+            None without one.
         curve: (primitives, efficiency) of each evaluation of the greedy policy.
-        escapes: share of training episodes that escaped, in each tenth of the run; None where none ended.
+        escapes: share of training episodes that escaped, in each tenth of the run, or None if none ended.
         corners: share of the primitives spent in corners, in each tenth; empty of one ordinary environment.
         entropy: of the policy that trains, nats, in each tenth; empty where the agent logs none.
         seconds: of processor time.
@@ -139,12 +138,12 @@ class FlatRun:
         return self.curve[-1][0]
 
     def find_threshold(self, least: float) -> int | None:
-        """Primitives at the first of two evaluations in a row of at least this efficiency; None without such a pair."""
+        """Primitives at the first of two evaluations in a row of at least this efficiency, or None."""
         return find_lasting(self.curve, least)
 
 
 class RepeatedStreams:
-    """Streams in which every action is repeated for some primitives, and counts of those spent in corners.
+    """Many environments that repeat every action for some primitives, and counts of primitives in corners.
 
     A decision lasts `repeat` primitives, or to the end of its episode; streams decide at their own pace.
 
@@ -264,12 +263,12 @@ class FlatJob(NamedTuple):
 
     Attributes:
         learner: that learns.
-        room: in which.
+        room: of the run.
         seed: of training.
         budget: primitives.
         eval_every: primitives between evaluations.
-        until: efficiency that ends it once it is reached at two evaluations in a row; 0 for none, which is reached at
-            the first evaluation after the first escape; None runs for the whole budget.
+        until: efficiency at two evaluations in a row that ends the run; 0 for none, at the first evaluation after the
+            first escape, or None to run for the whole budget.
     """
 
     learner: FlatLearner
@@ -399,10 +398,10 @@ def count_untrained(learner: FlatLearner) -> int:
 
 
 def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:
-    """Learners of a study that are asked for, in its order.
+    """Select a study's learners, in its order.
 
     Raises:
-        UnknownNameError: the study has no learner of that label.
+        UnknownNameError: the study has no such label.
     """
     fields = {field.name for field in dataclasses.fields(FlatLearner)}
     tables = [{name: value for name, value in table.items() if name in fields} for table in study.data["learners"]]
@@ -419,7 +418,7 @@ def measure_flat_runs(store: Store, jobs: Sequence[FlatJob], minutes: float | No
     Args:
         store: of the lines.
         jobs: those in the same room one after another.
-        minutes: after which no further run is begun; None for no limit.
+        minutes: before the last start of a run, or None for no limit.
     """
     end = None if minutes is None else time.monotonic() + 60 * minutes
     for number, job in enumerate(jobs, 1):

@@ -42,7 +42,7 @@ class TabularModel:
         outcomes: by state and action.
         starts: (states,), probability of each first state.
         observations: what an agent sees in each state.
-        masks: bool (states, actions), the legal actions; None where all are legal everywhere.
+        masks: bool (states, actions), the legal actions, or None if all are legal everywhere.
     """
 
     outcomes: Sequence[Sequence[Outcomes]]
@@ -85,8 +85,8 @@ def enumerate_model(
 
     Args:
         env: with Discrete actions, `get_state()` (everything that decides what follows) and `set_state(state)`, which
-            goes on from it. Truncations are left out.
-        key: state -> what tells it from others; leave out clocks, or no state is ever met again.
+            continues from it. Truncations are left out.
+        key: state -> a unique key, without clocks, which would make every state new.
         seeds: of the first states, which are equally likely.
         most_states: bound on states.
 
@@ -143,7 +143,7 @@ class HierarchyPrice(NamedTuple):
     Attributes:
         flat: of the best policy.
         hierarchical: of the best policy that the hierarchy allows.
-        recursive: of the policy whose tasks are each optimal for themselves; None for programs, which have no tasks.
+        recursive: of the policy whose tasks are each optimal for themselves, or None for programs, which have no tasks.
         pairs: (state, stack) pairs, or (state, machine state) pairs, that were solved for the hierarchical optimum.
     """
 
@@ -190,7 +190,7 @@ Follow: TypeAlias = "list[tuple[float, int]]"
 
 @dataclass
 class _Points:
-    """Decision points, numbered as they are met, and all their choices in one list."""
+    """Decision points, numbered by first visit, and all their choices in one list."""
 
     numbers: dict[Hashable, int] = field(default_factory=dict)
     first: list[int] = field(default_factory=lambda: [0])
@@ -237,7 +237,7 @@ class _Points:
             if change < 1e-12 * max(1.0, float(np.abs(values).max())):
                 break
         else:
-            raise UnsupportedError("values do not converge: episodes may go on for ever; take gamma below 1")
+            raise UnsupportedError("values do not converge: episodes can last for ever; set gamma below 1")
         is_best = of_choices >= np.repeat(values, np.diff(self.first)) - TIE
         best = [self.choices[begin + int(is_best[begin:end].argmax())]
                 for begin, end in zip(self.first, self.first[1:], strict=False)]
@@ -285,7 +285,7 @@ class _Calls:
             task, young, old = self._frames[call]
             ends = task.ends(young, self._seen[state])
             if ends != task.ends(old, self._seen[state]):
-                raise UnsupportedError(f"task {task.name!r} ends by how long it has run, which is no part of a (state, "
+                raise UnsupportedError(f"task {task.name!r} ends after a time, which is not part of a (state, "
                                        "stack) pair; give it no time limit")
             self._is_over[key] = ends
         return self._is_over[key]
@@ -317,7 +317,7 @@ class _Calls:
         self.solve_root(fixed=True)
 
     def _solve_call(self, call: Hashable, callers: Running) -> None:
-        """Fix the choices of a call in every state in which it is not over, those of its children before."""
+        """Fix the choices of a call in every state where it is not over, after the choices of its children."""
         if call in self._solved:
             return
         task, frame, _ = self._frames[call]
@@ -373,7 +373,7 @@ class _Calls:
         return paid, reached
 
     def _arrive(self, state: int, running: Running, restarts: bool) -> list[tuple[float, Running]]:
-        """Calls that go on at the state reached, with their probability; none where the outermost is over."""
+        """Calls that continue at the state reached, with their probability; none where the outermost is over."""
         key = state, running, restarts
         if key not in self._arrived:
             self._arrived[key] = list(self._end_calls(state, running, restarts))

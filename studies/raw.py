@@ -23,7 +23,7 @@ __all__ = ["BINS", "OPTIMAL_SCORE", "RawRun", "collect_runs"]
 
 BINS = 20
 OPTIMAL_SCORE = 0.99
-"""Score from which on these studies call an episode optimal: that of 0.1, stricter than the study of scaling."""
+"""Smallest score of an optimal episode in these studies, as in version 0.1; stricter than the study of scaling."""
 
 _WITH_GAPS = ("training_returns", "training_efficiencies", "entropy", "greedy", "longest_repeat")
 _NEW = ("efficiencies", "training_efficiencies", "entropy", "greedy", "longest_repeat")
@@ -48,13 +48,13 @@ class RawRun:
         returns: mean return of each evaluation, frozen weights.
         successes: share of each evaluation's episodes that escaped.
         episodes: training episodes that ended in each twentieth of the budget.
-        training_returns: mean return of these; None where none ended.
+        training_returns: mean return of these, or None if none ended.
         training_successes: how many of these escaped.
         training_optimal: how many of these scored `OPTIMAL_SCORE` or more.
-        first_escape: primitives at the end of the first training episode that escaped; None if none did.
+        first_escape: primitives at the end of the first training episode that escaped, or None without one.
         efficiencies: mean efficiency of each evaluation; empty in raw results of version 0.1, as all that follow.
-        training_efficiencies: mean efficiency of the training episodes in each twentieth; None where none ended.
-        entropy: mean entropy of the exploring policy there, in nats; None also where the agent logs none.
+        training_efficiencies: mean efficiency of the training episodes in each twentieth, or None if none ended.
+        entropy: mean entropy of the exploring policy there, in nats, or None, also if the agent logs none.
         greedy: mean share of greedy decisions there, likewise.
         longest_repeat: mean over these episodes of the most decisions in a row for one action.
         grid: name of its grid.
@@ -137,7 +137,7 @@ def collect_runs(comparison: Comparison) -> list[RawRun]:
 
 
 def load_episode_rows(folder: Path) -> list[dict[str, Any]]:
-    """Read the rows of a run's log that tell of training episodes, by the names of `METRICS`.
+    """Read the rows of a run's log about training episodes, by the names of `METRICS`.
 
     Raises:
         FileReadError: the log is missing or damaged.
@@ -167,7 +167,7 @@ def _make_run(run: GridRun, result: RunResult, rows: Sequence[Mapping[str, Any]]
         return tuple(np.bincount(place[chosen], minlength=BINS).tolist())
 
     def average(values: Sequence[Any], digits: int) -> tuple[float | None, ...]:
-        """Mean in each twentieth; None where there is no value."""
+        """Mean in each twentieth, or None without a value."""
         known = np.array([value is not None for value in values], dtype=bool)
         weights = [float(value) for value in values if value is not None]
         sums = np.bincount(place[known], weights=weights, minlength=BINS)

@@ -25,7 +25,7 @@ HEADER = '{"format":2}'
 
 
 class Line(Protocol):
-    """Frozen dataclass of plain values, of which each instance is a line."""
+    """Frozen dataclass of plain values; each instance is a line."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
@@ -43,7 +43,7 @@ def read_rows(path: Path) -> list[str]:
     """
     header, *rows = read_text(path, "file of results").splitlines() or [""]
     if header != HEADER:
-        raise FileReadError(f"{path}: the first line is not {HEADER}, so its agents may be of version 0.3, where "
+        raise FileReadError(f"{path}: the first line is not {HEADER}, so its agents can be of version 0.3, where "
                             "smdp-dqn also chose primitives. Begin another file")
     return rows
 
@@ -53,7 +53,7 @@ class Store:
 
     Args:
         path: of the file; it need not exist.
-        kinds: classes of its lines, told apart by their fields.
+        kinds: classes of its lines, distinguished by their fields.
     """
 
     def __init__(self, path: Path, kinds: Sequence[type[Line]]) -> None:
@@ -61,7 +61,7 @@ class Store:
         self._kinds = tuple(kinds)
 
     def load(self) -> list[Any]:
-        """Lines in the order in which their subjects first appear; none where there is no file.
+        """Lines in the order of first appearance of their subjects; none without a file.
 
         Raises:
             FileReadError: a line is damaged; the message has its number.

@@ -1,7 +1,7 @@
 """Record of how default settings came about: which were chosen by trying them, where, and whether that is reported in.
 
-The record is `tuning.toml`. It holds what the project's history tells and no more: where nobody wrote down how many
-trials were made, it gives no number. A default that was chosen where results are reported flatters them there.
+The record is `tuning.toml`. It holds what the project's history documents, and omits the number of trials where it was
+not written down. A default that was chosen where results are reported flatters them there.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Tuning:
     Attributes:
         agents: names; each also over options, with `smdp-` in front.
         settings: their defaults today.
-        tried_in: rooms and environments in which they were chosen.
+        tried_in: rooms and environments where they were chosen.
         before: defaults that they replaced, as far as there were any.
-        reported_in: those of `tried_in` whose results this project reports.
-        source: where the project's history tells of it.
-        trials: number of settings that were tried; None where it was not written down.
+        reported_in: members of `tried_in` whose results this project reports.
+        source: place in the project's history.
+        trials: number of settings that were tried, or None if it was not written down.
         seeds: training seeds of these trials, in words; empty where they were not written down.
         note: anything else.
     """

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import shutil
 import subprocess
 import sys
 import time
+import tokenize
 from pathlib import Path
 
 import pytest
@@ -149,9 +151,12 @@ print(plan.seconds, time.perf_counter() - began, plan.timed_out)
 
 
 @pytest.mark.slow
-def test_a_copy_of_the_package_loads_what_the_checkout_has_compiled(tmp_path):
+def test_a_copy_of_the_package_with_other_docstrings_loads_what_the_checkout_has_compiled(tmp_path):
     copy, here = tmp_path / "copy", Path(hrl_escape.__file__).parent
     shutil.copytree(here, copy / "hrl_escape", ignore=shutil.ignore_patterns("__pycache__"))
+    edited = copy / "hrl_escape" / "planning/search/a_star.py"
+    code = edited.read_text().split('"""', 2)[2]
+    edited.write_text('"""Another docstring.\n' + "It moves all kernels down.\n" * 40 + f'"""{code}')
     first, second = (run_fork(COMPILED, check=True, environment=os.environ | {
         "PYTHONPATH": str(place), "NUMBA_CACHE_DIR": str(tmp_path)}) for place in (here.parent, copy))
     uses = re.findall(r"compiling kernels for ([^,\n]+), once for this version", first.stderr)
@@ -169,6 +174,35 @@ def test_what_another_version_compiled_is_never_loaded(monkeypatch, tmp_path):
     monkeypatch.setattr(kernels, "SOURCES", kernels.SOURCES[1:])
     assert len({one, other, kernels.find_cache_folder()}) == 3
     assert all(folder.is_relative_to(tmp_path) and folder.is_dir() for folder in (one, other))
+
+
+@pytest.mark.parametrize(("old", "new", "is_same"), [
+    (b"def f(x):\n    return x\n", b'"""A."""\n\n\ndef f(x):  # of x\n    """Return it."""\n\n    return x\n', True),
+    (b'a = 1\n"""One."""\n', b'a = 1\n"""One\n\n# or less."""\n', True),
+    (b"def f(x):\n    return x\n", b"def f(x):\nreturn x\n", False),
+    (b"a = 1\n", b"a = 2\n", False),
+    (b'a = "#1"  # one\n', b'a = "#2"  # one\n', False),
+    (b"a = 'it\\'s #1'\n", b"a = 'it\\'s #2'\n", False),
+])
+def test_prose_of_a_source_is_no_part_of_the_caches_key(old, new, is_same):
+    assert (kernels.strip_prose(old) == kernels.strip_prose(new)) == is_same
+
+
+@pytest.mark.parametrize("name", kernels.SOURCES)
+def test_all_code_of_a_source_is_part_of_the_caches_key(name):
+    """By the tokens of Python: all but comments, line ends and expressions that are only a text."""
+    source = (Path(kernels.__file__).parent / name).read_bytes()
+    skipped = tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING
+
+    def read(text: bytes) -> list[str]:
+        found, begins = [], True
+        for token in tokenize.tokenize(io.BytesIO(text).readline):
+            if token.type not in skipped and not (begins and token.type == tokenize.STRING):
+                found.append(token.string)
+            begins = token.type in skipped and (begins or token.type not in (tokenize.COMMENT, tokenize.NL))
+        return found
+
+    assert read(kernels.strip_prose(source)) == read(source) and len(kernels.strip_prose(source)) < len(source)
 
 
 def test_every_module_with_kernels_is_a_source_of_the_caches_key():

@@ -5,7 +5,7 @@
     python -m benchmarks.leaderboard page
 
 A card is a TOML file such as `benchmarks/leaderboard/starter/card.toml`. `run` takes a reference, the folder of a
-program, or the folder of a training run, of which it also writes the archive. `check` exits with 1 if a room differs.
+program, or the folder of a training run, which it also archives. `check` exits with 1 if a room differs.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from hrl_escape.errors import ContractError, show_value
 from hrl_escape.names import parse_whole
 
 ANSWER_SECONDS = 120.0
-"""Seconds that a program may take for a decision; its start counts with the first."""
+"""Time limit of a program for a decision, s; its start counts with the first."""
 LONGEST_LINE = 100
 
 
@@ -35,8 +35,8 @@ class ProgramAgent(FixedPolicy):
 
     with the vector that it observes, 1 for each legal action, whether an episode begins, and then the meaning of the
     numbers in a row of `objects`. It writes one line, the number of its action. The program gets neither room, seed,
-    reward nor `info`, and no variable of the caller's environment but PATH. Nothing here prevents it from reading files
-    or using the network, so start only programs that you have read.
+    reward nor `info`, and no variable of the caller's environment except PATH. It can still read files
+    or use the network, so start only programs that you have read.
 
     Args:
         name: of the agent, for messages.

@@ -158,7 +158,7 @@ def make(rung: Rung, card: Mapping[str, Any], source: str, rooms: int | None = N
 
     Args:
         rung: the rung.
-        card: fields of `AgentCard`, of which those of rung and package are filled in, and `command` for a program.
+        card: fields of `AgentCard`, where rung and package are filled in, and `command` for a program.
         source: name of a reference, or folder of a program.
         rooms: number of test rooms, from the first; all by default.
     """

@@ -1,8 +1,8 @@
-"""The Agent protocol, its settings and the SMDP transition: the language between learners and environments.
+"""The `Agent` protocol, its settings and the SMDP transition: the interface between agents and environments.
 
 Agents learn from SMDP transitions (Sutton, Precup and Singh 1999, section 3): one decision runs k >= 1 primitives. A
-flat environment is the case k = 1, so each algorithm is written once. This module knows Gymnasium and `info`, neither
-rooms nor options.
+flat environment is the case k = 1, so each algorithm is written once. This module depends on Gymnasium and `info`,
+not on rooms or options.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hrl_escape.step_info import read_option, read_payment, read_trace
 
 @dataclass(frozen=True)
 class AgentSettings(Settings):
-    """Base of agents' settings: impossible values raise `AgentSettingsError`."""
+    """Base class of agent settings; invalid values raise `AgentSettingsError`."""
 
     _error = AgentSettingsError
 
@@ -42,7 +42,7 @@ class DiscountSettings(AgentSettings):
     """Discount of agents that count time in primitives alone."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
 
 
 @dataclass(frozen=True)
@@ -50,78 +50,78 @@ class LearningSettings(AgentSettings):
     """Discounting of actions of different duration, treatment of truncated episodes, and the clock of schedules."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
 
 
 # --- the protocol -----------------------------------------------------------------------
 
 CATALOGUE = "hrl_escape.agents.algorithms"
-SUCCESS_KEYS = ("is_success", "success")
-"""Keys of `info` that may hold an episode's success; the first that has a value counts."""
 """Package of the algorithms, one file each, named like the file."""
+SUCCESS_KEYS = ("is_success", "success")
+"""Keys of `info` for an episode's success; the first with a value counts."""
 
 
 class RunningCall(NamedTuple):
     """One running call of a hierarchical agent, for display."""
 
     task: str  # its name
-    context: Any  # what its caller told it; None without one
+    context: Any  # argument from its caller, or None without one
     primitives: int  # run since the call
     ends: float  # probability that it is over at the moment of the choice
-    place: tuple[float, float] | None = None  # x and y of its goal on the floor, m; None where it has no place
+    place: tuple[float, float] | None = None  # x and y of its goal on the floor, m, or None if it has no place
 
 
 class Agent(Stateful, ABC):
-    """A learner. Derive from it, write the abstract members, declare its `STATE`, and `train` can run it.
+    """Base class of agents. A subclass defines the abstract members and declares its `STATE`; `train` can then run it.
 
     `STATE` names the attributes that learning depends on: weights, optimiser, replay, counters, generators; see
     `hrl_escape.agents.state`.
 
-    For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`), is constructed
-    as `Class(observation_space, action_space, seed, settings)` with Discrete actions and a seed from which all of its
-    randomness follows (its own text names only what else it takes), and is published under the entry-point group
-    `hrl_escape.agents`:
+    For `make_agent` by name, a class also has `Settings`, a frozen dataclass such as an `AgentSettings`. It is
+    constructed as `Class(observation_space, action_space, seed, settings)` with Discrete actions; the seed determines
+    all of its randomness. It is published under the entry-point group `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]
         my-agent = "my_package.my_module:MyAgent"
 
-    The other members say what an agent can do beyond that. Their defaults are those of an agent that can do no more.
+    All other members are optional and declare further abilities of an agent.
     """
 
     name: ClassVar[str] = ""
-    """Name in messages: by default the class's, for the algorithms of this package that of their file, under which
-    `make_agent` knows them."""
+    """Name in messages: by default the class's name, and for the algorithms of this package the name of their file,
+    which `make_agent` accepts."""
     Settings: ClassVar[type]
-    """Dataclass of its settings; by default that of the annotation of `settings` in the class, found in its module."""
+    """Dataclass of its settings; by default the annotation of `settings` in the class, found in its module."""
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
-    """Name -> settings, beside `default`, which is `Settings()`; with the prefix `smdp-` for agents over options."""
+    """Name -> settings, in addition to `default`, which is `Settings()`; prefixed with `smdp-` for agents over
+    options."""
     needs_trace: ClassVar[bool] = False
-    """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
+    """True if the agent learns from `SMDPTransition.trace`; `train` then turns traces on in environments of options."""
     is_markov: bool = False
-    """`act_greedy` is a function of the observation and the legal actions: it draws nothing and remembers nothing."""
+    """True if `act_greedy` is a function of the observation and the legal actions, without randomness and memory."""
     settings: Any
     """The settings that the agent was made with."""
     origin: Mapping[str, Any] = MappingProxyType({})
-    """Training that made it what it is, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's
-    folder, empty without one), `seed` and `primitives`; empty where there was none."""
+    """Training of the agent, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's folder, empty
+    without one), `seed` and `primitives`; empty for an untrained agent."""
     privileges: tuple[str, ...] = ()
     """Information that it is given and a flat agent is not."""
     _evaluation: tuple[Any, ...] | None = None
-    """Generator of the evaluation that runs, by which it is known, and what the agent remembers of its episode."""
+    """Generator of the running evaluation, which identifies it, and the agent's memory of its episode."""
     made_for: int | None = None
-    """Number of actions of the space it was made with; None where its class is constructed in another way."""
+    """Number of actions of the space it was made with, or None if its class is constructed in another way."""
 
     def __init_subclass__(cls, **named: Any) -> None:
-        """Name an algorithm like its file, any other class like itself unless it says one; take up its `Settings`."""
+        """Set the default name, of the file for an algorithm and of the class otherwise, and find `Settings`."""
         super().__init_subclass__(**named)
         if (said := inspect.get_annotations(cls).get("settings")) and "Settings" not in cls.__dict__:
             declared = getattr(sys.modules[cls.__module__], said, None) if isinstance(said, str) else said
@@ -138,7 +138,7 @@ class Agent(Stateful, ABC):
                 cls.name = cls.__name__
 
     def __new__(cls, *arguments: Any, **named: Any) -> Self:
-        """Note the number of actions."""
+        """Record the number of actions."""
         made = super().__new__(cls)
         space = named.get("action_space", arguments[1] if len(arguments) > 1 else None)
         if isinstance(space, gymnasium.spaces.Discrete):
@@ -147,7 +147,7 @@ class Agent(Stateful, ABC):
 
     @property
     def gamma(self) -> float:
-        """Discount per primitive, at which `SMDPTransition.reward` and `.discount` are computed."""
+        """Discount per primitive of `SMDPTransition.reward` and `.discount`."""
         return self.settings.gamma
 
     @abstractmethod
@@ -156,25 +156,25 @@ class Agent(Stateful, ABC):
 
     @abstractmethod
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action for evaluation: nothing in the agent may change.
+        """Choose an action for evaluation, without any change of the agent.
 
-        A policy that is random by nature draws from `rng`, never from the agent's own generator, so that
-        evaluating twice gives the same numbers and evaluating at all does not disturb learning.
+        A stochastic policy draws from `rng`, never from the agent's own generator. Evaluating twice then gives the same
+        numbers, and evaluation does not change learning.
         """
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on exactly where `state_dict` was taken; an evaluation that runs forgets its episode."""
+        """Restore the exact state of `state_dict`; a running evaluation loses the memory of its episode."""
         super().load_state_dict(state)
         self._evaluation = None
 
     def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
-        """Memory of the episode of an evaluation, which is known by its generator; None in a new one."""
+        """Return the memory of an evaluation's episode, identified by its generator, or None in a new one."""
         return self._evaluation[1:] if self._evaluation is not None and self._evaluation[0] is rng else None
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027
-        """Told in evaluation what the latest `act_greedy` with this generator came to; by default nothing matters.
+        """Receive the outcome of the latest `act_greedy` with this generator in evaluation; by default do nothing.
 
-        For agents that count primitives within an episode: a decision may last several.
+        For agents that count primitives within an episode: a decision can last several.
         """
 
     def make_policy(self) -> Policy:
@@ -183,84 +183,84 @@ class Agent(Stateful, ABC):
 
     @abstractmethod
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn from one decision; returns numbers to log, such as the loss, or nothing.
+        """Learn from one decision and return numbers to log, such as the loss.
 
         Transitions come in order, each from the state reached by the one before, until one is terminated or
         truncated.
         """
 
     def compute_values(self, observation: Any) -> NDArray | None:
-        """Q(s, .) at an observation in units of return, (actions,); None without action values."""
+        """Return Q(s, .) at an observation in units of return, (actions,), or None without action values."""
         return None
 
     def compute_preferences(self, observation: Any) -> NDArray | None:
-        """Numbers that the greedy policy takes the argmax of, (actions,), before any mask; None without them.
+        """Return the unmasked numbers whose argmax is the greedy action, (actions,), or None without them.
 
-        For agents whose preferences are no values, such as the logits of a policy.
+        For agents with preferences other than values, such as the logits of a policy.
         """
         return None
 
     def compute_state_value(self, observation: Any) -> float | None:
-        """V(s) of a critic, in units of return; None without one."""
+        """Return V(s) of a critic, in units of return, or None without one."""
         return None
 
     def list_calls(self) -> tuple[RunningCall, ...]:
-        """Calls behind the latest choice, in learning or evaluation, the outermost first; none where nothing nests."""
+        """Return the nested calls behind the latest choice, in learning or evaluation, the outermost first."""
         return ()
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Policies that the agent learned, each with a beginning and an end of its own.
+        """Return the learned policies of the agent, each with its own initiation and termination.
 
-        `hrl_escape.options.make_learned_options` makes options of them. By default the whole greedy policy, which never
+        `hrl_escape.options.make_learned_options` makes options of them. The default is the greedy policy, which never
         ends by itself.
         """
         return (OptionPolicy("policy", self, lambda: _WholeRun(self), is_markov=self.is_markov),)
 
     def get_graph(self) -> frozenset[tuple[int, int]] | None:
-        """Edges (parent, child) of a learned dependency graph, by component of the observation; None without one."""
+        """Return the edges (parent, child) of a learned graph of observation components, or None without a graph."""
         return None
 
 
 class FixedPolicy(Agent):
-    """Base of agents that follow a rule and learn nothing: a subclass gives `act`, which is evaluated as it is."""
+    """Base of agents that follow a fixed rule: a subclass defines `act`, which evaluation uses unchanged."""
 
     Settings: ClassVar[type] = DiscountSettings
     STATE = ()
     settings: Any = DiscountSettings()
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Same choice as `act`."""
+        """Return the choice of `act`."""
         return self.act(observation, action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn nothing and log nothing."""
+        """Ignore the decision and return no numbers."""
         return {}
 
 
-# --- what an agent learned, as data -----------------------------------------------------
+# --- learned policies ------------------------------------------------------------------
 
 
 class OptionRun(Protocol):
-    """One run of a learned policy, from its start on."""
+    """One run of a learned policy, from its start."""
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator, /) -> int:
         """Choose an action, as evaluation does; random choices are drawn from `rng`."""
         ...
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_], /) -> float:
-        """Probability beta(s') of ending at the state that the latest action led to."""
+        """Return the probability beta(s') of ending at the state after the latest action."""
         ...
 
 
 @dataclass(frozen=True)
 class OptionPolicy:
-    """Something that an agent learned to do, with its own beginning and end.
+    """A learned policy of an agent, with its own initiation and termination.
 
-    It acts by what the agent knows when it is asked: an agent that goes on learning changes it.
+    It acts by the present parameters of the agent, which further learning changes.
     """
 
     name: str  #: unique among the policies of an agent
-    agent: Agent  #: whose it is
+    agent: Agent  #: its agent
     begin: Callable[[], OptionRun]  #: makes a run
     can_start: Callable[[Any, NDArray[np.bool_]], bool] = lambda observation, action_mask: True
     """(observation, action mask) -> whether it may start there."""
@@ -268,20 +268,20 @@ class OptionPolicy:
 
     @property
     def origin(self) -> Mapping[str, Any]:
-        """Run in which the agent learned, see `Agent.origin`."""
+        """Run that trained the agent, see `Agent.origin`."""
         return self.agent.origin
 
 
 @dataclass(frozen=True)
 class MarkovRun:
-    """A run that remembers nothing, by two functions."""
+    """A run without memory, defined by two functions."""
 
     act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int]
     compute_termination: Callable[[Any, NDArray[np.bool_]], float]  # a truth value will do
 
 
 class _WholeRun:
-    """The greedy policy of an agent for as long as it is asked."""
+    """The greedy policy of an agent, which never ends by itself."""
 
     def __init__(self, agent: Agent) -> None:
         self._policy, self._has_begun = agent.make_policy(), False
@@ -298,7 +298,7 @@ class _WholeRun:
         return 0.0
 
 
-# --- what an environment says -----------------------------------------------------------
+# --- what an environment reports --------------------------------------------------------
 
 
 class GoalRule(NamedTuple):
@@ -309,13 +309,13 @@ class GoalRule(NamedTuple):
     """
 
     compute_reward: Callable[[Any, Any, Mapping[str, Any]], Any]
-    """(achieved, desired, info) -> reward of a step after which these were the goals."""
+    """(achieved, desired, info) -> reward of a step that led to these goals."""
     compute_terminated: Callable[[Any, Any, Mapping[str, Any]], Any]
-    """The same -> whether this ends the episode, whatever else may end it."""
+    """The same -> whether the goals end the episode."""
 
 
 def read_goal_rule(env: gymnasium.Env) -> GoalRule | None:
-    """The rule of an environment, through any wrappers; None where it lacks one of the two methods."""
+    """Return the rule of an environment, through any wrappers, or None if it lacks one of the two methods."""
     if not all(env.has_wrapper_attr(name) for name in GoalRule._fields):
         return None
     return GoalRule(*map(env.get_wrapper_attr, GoalRule._fields))
@@ -342,14 +342,14 @@ def read_success(info: Mapping[str, Any]) -> bool | None:
     """Read whether an episode succeeded from the `info` of its last step.
 
     Args:
-        info: of the last step. `is_success` counts, else `success`; None is the same as no value. Gymnasium's own
-            environments give neither: a termination is no success.
+        info: of the last step. `is_success` counts, else `success`; None counts as missing. Gymnasium's own
+            environments define neither, and a termination alone is not a success.
 
     Returns:
-        Success; None where the environment reports neither.
+        Success, or None if the environment reports neither.
 
     Raises:
-        StepContractError: the value is neither True, False, 1 nor 0.
+        StepContractError: the value is not True, False, 1 or 0.
     """
     for name in SUCCESS_KEYS:
         value = info.get(name)
@@ -366,12 +366,12 @@ def read_success_value(name: str, value: Any) -> bool:
         array = np.asarray(None)
     if array.size != 1 or array.dtype.kind not in "biuf" or array.item() not in (0, 1):
         raise StepContractError(f"info[{name!r}] is {value!r} at the last step of an episode; success must be True, "
-                                "False, 1 or 0. Leave the key out, or set it to None, where there is no success")
+                                "False, 1 or 0. Leave the key out, or set it to None, if success is undefined")
     return bool(array.item())
 
 
 def check_observation(observation: Any, when: str) -> None:
-    """Refuse an observation, given at the moment `when`, with a number that is not finite, in tables and tuples too.
+    """Check that all numbers of an observation are finite, in tables and tuples too; `when` names its moment.
 
     Raises:
         StepContractError: it has NaN or an infinity; the message names the first.
@@ -400,7 +400,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     - `duration`: int k >= 1, primitives that ran; absent means 1.
     - `discounted_reward` and `discount`: R = sum gamma^i r_i and gamma^k, read where the gamma is the agent's (see
       `set_option_discount`).
-    - `rewards`: the k primitive rewards in order, from which R is computed at any gamma. One of the two ways is needed
+    - `rewards`: the k primitive rewards in order, to compute R at any gamma. One of the two ways is needed
       where k > 1.
     - `summed_reward`: the undiscounted sum, where `rewards` are left out.
     - `action_mask`: see `read_action_mask`; at the state reached.
@@ -411,7 +411,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
       next_observation) and can have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
       of the actions whose policy, a function of the state alone, does this same primitive here, with
       their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
-      may stand for several primitives, a decision of a level below; it then has their `rewards`.
+      can represent several primitives, a decision of a level below; it then has their `rewards`.
 
     `reward` must be the sum of the primitive rewards or their discounted sum. Where it is neither, a wrapper changed it
     after the primitives were summed, and the step is refused: below the options such a wrapper acts on every primitive.
@@ -447,7 +447,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
 def set_option_discount(env: Any, gamma: float) -> None:
     """Set the discount of every `OptionsEnv` in an environment, so that its `discounted_reward` is at this gamma.
 
-    Environments without options stay as they are. `train` and `evaluate` call it with the agent's gamma.
+    Environments without options remain unchanged. `train` and `evaluate` call it with the agent's gamma.
 
     Args:
         env: an environment, a vector environment, or streams.
@@ -500,7 +500,7 @@ def count_actions(action_space: gymnasium.Space, agent: str) -> int:
 
 
 def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
-    """Number of actions of an environment, in which an agent is to run.
+    """Number of actions of an environment that is to run an agent.
 
     Raises:
         UnsupportedSpaceError: the space is not Discrete(n) from 0, or the agent was made for another number.
@@ -545,5 +545,5 @@ def show_form(space: gymnasium.Space) -> str:
 
 
 def count_steps(transition: SMDPTransition, settings: LearningSettings) -> int:
-    """Steps by which a decision advances the agent's clock: k with the clock in primitives, else 1."""
+    """Steps of the agent's clock in a decision: k with the clock in primitives, else 1."""
     return transition.duration if settings.clock == "primitive" else 1

@@ -23,7 +23,7 @@ class BatchAgent(Agent):
     A new agent acts in one environment. `begin_episodes` prepares it for many.
 
     Attributes:
-        place: number of environments, and device of their tensors; None for NumPy arrays.
+        place: number of environments, and device of their tensors, or None for NumPy arrays.
     """
 
     STATE = (Kept("_running", unpack=dict, is_left_out=True),)
@@ -35,7 +35,7 @@ class BatchAgent(Agent):
 
         Args:
             num_envs: number of environments.
-            device: device of batches and networks; None for NumPy arrays of one environment.
+            device: device of batches and networks, or None for NumPy arrays of one environment.
         """
 
     @abstractmethod
@@ -44,7 +44,7 @@ class BatchAgent(Agent):
 
     @abstractmethod
     def observe(self, batch: Decisions) -> Mapping[str, float]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Learn from decisions; returns numbers to log, or nothing.
+        """Learn from decisions and return numbers to log.
 
         Decisions of one environment come in order, each from the state reached by the one before, until one is
         terminated or truncated.
@@ -65,7 +65,7 @@ class BatchAgent(Agent):
 
     @_running.setter
     def _running(self, saved: StateTree) -> None:
-        """Parts go on where there are as many environments, on any device; elsewhere they stay as they are."""
+        """Parts continue if the number of environments is the same, on any device; otherwise they do not change."""
         if (saved["num_envs"], saved["is_many"]) == (self.place[0], self.place[1] is not None):
             for name, part in self.list_running().items():
                 part.load_state_dict(saved[name])

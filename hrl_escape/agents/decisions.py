@@ -49,7 +49,7 @@ class SMDPTransition(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """n moments at which an action is chosen."""
+    """n moments of choice."""
 
     env: Any  # int64 (n,), environment of each row; no environment has two rows
     observation: Any  # tensor (n, ...), or a sequence of n observations of any space
@@ -100,13 +100,13 @@ def read_decision(batch: Decisions) -> SMDPTransition:
 
 
 class Policy(ABC):
-    """Choice of actions without learning, with the memory of the episodes that run.
+    """Choice of actions without learning, with memory of the running episodes.
 
     It shares its parameters with the agent that made it. Several policies of one agent run episodes side by side.
     """
 
     is_markov: bool = True
-    """The choice is a function of the observation and the legal actions: nothing is drawn or remembered."""
+    """True if the choice is a function of the observation and the legal actions, without randomness and memory."""
 
     @abstractmethod
     def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
@@ -117,7 +117,7 @@ class Policy(ABC):
         """Choose actions, int64 (n,)."""
 
     def note_outcome(self, transition: SMDPTransition) -> None:  # noqa: B027 - optional: most agents keep nothing of it
-        """Take in the outcome of the latest choice in one environment; by default it is ignored.
+        """Receive the outcome of the latest choice in one environment; ignored by default.
 
         Hierarchical policies count the primitives of a call.
         """
@@ -136,7 +136,7 @@ class AgentPolicy(Policy):
         self._rng = np.random.default_rng(0)
 
     def begin_episode(self, rng: np.random.Generator, num_envs: int = 1) -> None:
-        """Forget the episode."""
+        """Clear the memory of the episode."""
         assert num_envs == 1, "one environment"
         self._rng, self._memory = rng, None
 
@@ -150,13 +150,13 @@ class AgentPolicy(Policy):
             return self._agent.act_greedy(observation, action_mask, self._rng)
 
     def note_outcome(self, transition: SMDPTransition) -> None:
-        """Pass the outcome on."""
+        """Forward the outcome to the agent."""
         with _Episode(self):
             self._agent.note_outcome(transition, self._rng)
 
 
 class _Episode:
-    """Puts the memory of a policy's episode in place while its agent is asked: an agent remembers one episode."""
+    """Context that swaps a policy's episode memory into its agent, which holds one episode at a time."""
 
     def __init__(self, policy: AgentPolicy) -> None:
         self._policy = policy

@@ -1,11 +1,11 @@
-"""Discovery: the graph of the states that an agent has met, options found in it, and agents that use them.
+"""Discovery: the graph of an agent's visited states, options found in it, and agents that use them.
 
-Its slow directions are those of a random walk on it: the eigenvectors of small eigenvalue of its Laplacian (Chung
-1997), and those of large eigenvalue of its successor representation (Machado et al. 2018). Each comes with its largest
-number positive. Options are tables from states to primitives, with an end where there is no entry.
+Its slow directions are the slow directions of a random walk on it. They are the eigenvectors of small eigenvalue of its
+Laplacian (Chung 1997), or of large eigenvalue of its successor representation (Machado et al. 2018). The largest number
+of each is positive. Options are tables from states to primitives, and end in states without an entry.
 
-Found options lie in slots of a declared maximum. An empty slot is masked, numbers never change, and what is found anew
-takes the place of what was found before under the same number.
+Found options occupy slots of a declared maximum. An empty slot is masked, and numbers never change. A new option
+replaces the former one of the same number.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def _list_edges(counts: dict[tuple[int, int, int], int]) -> NDArray[np.int64]:
 
 
 class StateGraph(Stateful):
-    """States by number in order of first meeting, and counts of what actions did."""
+    """States numbered by first visit, and counts of the outcomes of actions."""
 
     STATE = (
         Kept("_numbers", "keys", pack_keys, lambda keys: {key: number for number, key in enumerate(unpack_keys(keys))}),
@@ -70,11 +70,11 @@ class StateGraph(Stateful):
         return len(self._numbers)
 
     def find(self, key: bytes) -> int | None:
-        """Number of a state; None for one never met."""
+        """Return the number of a state, or None before its first visit."""
         return self._numbers.get(key)
 
     def number(self, key: bytes) -> int:
-        """Number of a state, a new one at the first meeting."""
+        """Return the number of a state, a new one at its first visit."""
         return self._numbers.setdefault(key, len(self._numbers))
 
     def add(self, before: bytes, action: int, after: bytes) -> None:
@@ -83,7 +83,7 @@ class StateGraph(Stateful):
         self._counts[edge] = self._counts.get(edge, 0) + 1
 
     def make_model(self) -> StateModel:
-        """Empirical model of the actions."""
+        """Return the empirical model of the actions."""
         before, action, after, count = _list_edges(self._counts).T
         states, pairs = len(self), before * self.actions + action
         totals = np.bincount(pairs, count, states * self.actions)
@@ -91,7 +91,7 @@ class StateGraph(Stateful):
         return StateModel(follow, (totals > 0).reshape(states, self.actions))
 
     def make_adjacency(self) -> sparse.csr_matrix:
-        """1 between different states where some action led from one to the other, either way."""
+        """Return the adjacency of different states, 1 if an action led from one to the other, in either direction."""
         before, _, after, _ = _list_edges(self._counts).T
         moves = before != after
         pairs = np.concatenate([np.stack([before, after]), np.stack([after, before])], axis=1)[:, np.tile(moves, 2)]
@@ -100,15 +100,15 @@ class StateGraph(Stateful):
         return edges
 
     def find_component(self, adjacency: sparse.csr_matrix) -> NDArray[np.int64]:
-        """States of the largest connected part, in order."""
+        """Return the states of the largest connected part, in order."""
         _, parts = csgraph.connected_components(adjacency, directed=False)
         return np.flatnonzero(parts == np.bincount(parts).argmax())
 
 
 LaplacianKind = Literal["random-walk", "normalised", "combinatorial"]
-"""`random-walk`: I - D^-1 A, of the walk that draws an edge; `normalised`: I - D^(-1/2) A D^(-1/2), whose vectors are
-those times D^(1/2); `combinatorial`: D - A, of a walk that draws one of as many actions everywhere and stays where an
-action leads nowhere."""
+"""`random-walk`: I - D^-1 A, of the walk that draws an edge. `normalised`: I - D^(-1/2) A D^(-1/2), whose vectors are
+the same times D^(1/2). `combinatorial`: D - A, of a walk that draws among equally many actions in every state, and
+stays if an action has no edge."""
 
 
 class Directions(NamedTuple):
@@ -119,7 +119,7 @@ class Directions(NamedTuple):
 
 
 def compute_laplacian(adjacency: NDArray[np.float64], kind: LaplacianKind) -> NDArray[np.float64]:
-    """Laplacian of an undirected graph of which no state is without an edge, (states, states)."""
+    """Return the Laplacian of an undirected graph without isolated states, (states, states)."""
     degrees = adjacency.sum(axis=1)
     laplacian = np.diag(degrees) - adjacency
     if kind == "combinatorial":
@@ -128,7 +128,7 @@ def compute_laplacian(adjacency: NDArray[np.float64], kind: LaplacianKind) -> ND
 
 
 def find_slow_directions(adjacency: NDArray[np.float64], count: int, kind: LaplacianKind) -> Directions:
-    """Right eigenvectors of the Laplacian of a connected graph, given by its adjacency, (states, states)."""
+    """Return right eigenvectors of the Laplacian of a connected graph, from its adjacency, (states, states)."""
     symmetric = compute_laplacian(adjacency, "normalised" if kind == "random-walk" else kind)
     values, vectors = np.linalg.eigh(symmetric)
     if kind == "random-walk":
@@ -137,14 +137,14 @@ def find_slow_directions(adjacency: NDArray[np.float64], count: int, kind: Lapla
 
 
 def compute_successor_representation(transition: NDArray[np.float64], gamma: float) -> NDArray[np.float64]:
-    """Discounted visits of each state after each state, (I - gamma P)^-1 (Dayan 1993), P (states, states)."""
+    """Return the successor representation (I - gamma P)^-1 (Dayan 1993) of P (states, states)."""
     return np.asarray(np.linalg.inv(np.eye(len(transition)) - gamma * transition), np.float64)
 
 
 def find_slow_directions_of_successors(successors: NDArray[np.float64], count: int) -> Directions:
-    """Right eigenvectors of large eigenvalue of a successor representation; eigenvalues are those of I - gamma P.
+    """Return right eigenvectors of large eigenvalue of a successor representation; eigenvalues are for I - gamma P.
 
-    A directed walk may have complex ones, of which the real parts are taken.
+    A directed walk can have complex ones; then the real parts are used.
     """
     values, vectors = (np.real(part) for part in np.linalg.eig(successors))
     order = np.argsort(-values, kind="stable")[1 : count + 1]
@@ -152,13 +152,13 @@ def find_slow_directions_of_successors(successors: NDArray[np.float64], count: i
 
 
 def _orient(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same vectors, the number of largest size in each positive."""
+    """Return the vectors with signs that make the number of largest size positive."""
     largest = np.abs(vectors).argmax(axis=0)
     return vectors * np.sign(vectors[largest, np.arange(vectors.shape[1])])
 
 
 def find_covering_edge(adjacency: NDArray[np.float64]) -> tuple[int, int]:
-    """Edge that a covering option adds: from the least to the greatest value of the slowest direction.
+    """Return the edge of a covering option, from the least to the greatest value of the slowest direction.
 
     Jinnai et al. (2019), who bound the cover time by the second eigenvalue, which this edge raises.
     """
@@ -173,14 +173,14 @@ def find_covering_edge(adjacency: NDArray[np.float64]) -> tuple[int, int]:
 class TableSkill:
     """A deterministic Markov option over numbered states."""
 
-    name: str  # tells it from others
+    name: str  # unique
     actions: NDArray[np.int64]  # int64 (states,), the primitive in each state, `NOTHING` where it ends
-    starts: NDArray[np.bool_]  # bool (states,), where it may begin
+    starts: NDArray[np.bool_]  # bool (states,), its initiation set
 
 
 def _iterate(model: StateModel, values: NDArray[np.float64], gamma: float, gain: NDArray[np.float64] | float,
              settle: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Gain + gamma P V, (states, actions), at the fixed point of V = settle(its maximum over actions)."""
+    """Return gain + gamma P V, (states, actions), at the fixed point of V = settle(its maximum over actions)."""
     for _ in range(_SWEEPS):
         choices = gain + gamma * (model.follow @ values).reshape(model.known.shape)
         swept = settle(choices.max(axis=1))
@@ -191,7 +191,7 @@ def _iterate(model: StateModel, values: NDArray[np.float64], gamma: float, gain:
 
 
 def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float) -> TableSkill:
-    """Option that climbs a function of the state: paid e(s') - e(s), over where no more can be earned.
+    """Make an eigenoption: it maximises the reward e(s') - e(s), and ends where the reward cannot grow.
 
     The purpose e is (states,); its negative is another option. Gamma, below 1, discounts the option's own reward.
 
@@ -205,9 +205,9 @@ def make_eigenoption(name: str, model: StateModel, purpose: NDArray[np.float64],
 
 
 def make_point_option(name: str, model: StateModel, start: int, goal: int, gamma: float = 0.99) -> TableSkill:
-    """Option from one state to another, to be there soon (Jinnai et al. 2019).
+    """Make an option from one state to another by the shortest expected way (Jinnai et al. 2019).
 
-    It may begin in `start` alone, and ends in `goal`, and where no way there is known.
+    It can only begin in `start`. It ends in `goal`, and in states without a known way there.
     """
     states = np.arange(len(model.known))
     option = make_subgoal_option(name, model, states == states, states == goal, gamma)
@@ -216,10 +216,10 @@ def make_point_option(name: str, model: StateModel, start: int, goal: int, gamma
 
 def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_], targets: NDArray[np.bool_],
                         gamma: float = 0.99) -> TableSkill:
-    """Option that stays `inside`, bool (states,), until it is in one of its targets, bool (states,), to be there soon.
+    """Make an option that stays `inside`, bool (states,), on the way to its targets, bool (states,).
 
-    It maximises the expected gamma^k of arriving. It may begin wherever a way to a target is known that stays inside,
-    so that it is never begun where it cannot arrive; it ends in targets, and everywhere else.
+    It maximises the expected gamma^k of arriving. It can begin where a way inside to a target is known.
+    It ends in targets, and outside.
     """
     choices = _iterate(model, targets.astype(np.float64), gamma, 0.0,
                        lambda best: np.where(targets, 1.0, np.where(inside, best, 0.0)))
@@ -233,30 +233,30 @@ def make_subgoal_option(name: str, model: StateModel, inside: NDArray[np.bool_],
 
 
 class Discovery(Stateful, ABC):
-    """Finds options in what an agent has met; its state is everything beside the graph that decides what is found.
+    """Finds options in the data of an agent; its state is everything except the graph that decides what is found.
 
     Attributes:
-        slots: most options that it ever has at once.
+        slots: maximum number of options at a time.
     """
 
     slots: int
 
     @abstractmethod
     def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
-        """Take in one decision, between states of these numbers in the graph."""
+        """Process one decision, between states of these numbers in the graph."""
 
     @abstractmethod
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
-        """New options by slot; empty most of the time."""
+        """Return new options by slot, usually none."""
 
 
 def save_skills(skills: Sequence[TableSkill | None]) -> list[StateTree | None]:
-    """Options as state trees, for checkpoints."""
+    """Convert options to state trees, for checkpoints."""
     return [None if skill is None else dict(vars(skill)) for skill in skills]
 
 
 def load_skills(saved: Sequence[StateTree | None]) -> list[Any]:
-    """Options from what `save_skills` gave."""
+    """Return options from the result of `save_skills`."""
     return [None if skill is None else TableSkill(skill["name"], np.array(skill["actions"]), np.array(skill["starts"]))
             for skill in saved]
 
@@ -266,15 +266,15 @@ class DiscoveringAgent(TabularAgent):
 
     For each primitive (s, a) -> r, s' and each option o that would have done a in s, with `use="choose"`:
 
-        Q(s, o) <- Q(s, o) + alpha [r + gamma (Q(s', o) if o goes on in s' else max over o' of Q(s', o')) - Q(s, o)]
+        Q(s, o) <- Q(s, o) + alpha [r + gamma (Q(s', o) if o continues in s' else max over o' of Q(s', o')) - Q(s, o)]
 
     Attributes:
-        graph: the states met.
-        skills: by slot, None where nothing was found yet.
+        graph: the visited states.
+        skills: by slot, None in empty slots.
     """
 
     Discovery: ClassVar[type[Any]]
-    """The algorithm's kind of `Discovery`, made of its settings."""
+    """Constructor of the algorithm's `Discovery` from its settings."""
     STATE = ("graph", Kept("skills", pack=save_skills, unpack=load_skills), "discovery", "_running", "_lasted")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
@@ -287,19 +287,19 @@ class DiscoveringAgent(TabularAgent):
         self._chooses = self.settings.use == "choose"
         self.table = QTable(self.actions + self.discovery.slots * self._chooses, self.settings)
         self._running = NOTHING
-        """Slot of the option that runs."""
+        """Slot of the running option."""
         self._lasted = 0
         self._shown: RunningCall | None = None
 
     # --- options at a state -----------------------------------------------------------
 
     def get_skill_action(self, slot: int, observation: Any) -> int:
-        """Primitive of the option in a slot; `NOTHING` where it ends."""
+        """Return the primitive of the option in a slot, `NOTHING` where it ends."""
         skill, state = self.skills[slot], self.graph.find(self._discretise(observation))
         return NOTHING if skill is None or state is None or state >= len(skill.actions) else int(skill.actions[state])
 
     def compute_available(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Options that may begin here, bool (slots,)."""
+        """Return the options that can begin here, bool (slots,)."""
         state = self.graph.find(self._discretise(observation))
         available = np.zeros(len(self.skills), np.bool_)
         if state is not None:
@@ -309,27 +309,27 @@ class DiscoveringAgent(TabularAgent):
         return available
 
     def compute_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q(s, .) of primitives, float64 (actions,)."""
+        """Return Q(s, .) of primitives, float64 (actions,)."""
         return super().compute_values(observation)[: self.actions]
 
     def _compute_choices(self, observation: Any, mask: NDArray[np.bool_]) -> tuple[NDArray, NDArray[np.bool_]]:
-        """Values of all that the policy may choose, and the legal ones among it."""
+        """Return the values of all choices of the policy, and the mask of legal ones."""
         if not self._chooses:
             return self.compute_values(observation), mask
         values = super().compute_values(observation)
         return values, np.concatenate([mask, self.compute_available(observation, mask)])
 
     def list_calls(self) -> tuple[RunningCall, ...]:
-        """The option of the latest choice."""
+        """Return the option of the latest choice."""
         return () if self._shown is None else (self._shown,)
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Each option that was found, from where it may begin to its end; the whole policy where none was."""
+        """Return the found options, or the whole policy without any."""
         found = [slot for slot, skill in enumerate(self.skills) if skill is not None]
         return tuple(map(self._export, found)) or super().get_options()
 
     def _export(self, slot: int) -> OptionPolicy:
-        """The option of a slot; asked where it is over, it does anything that is legal."""
+        """Return the option of a slot; where it is over, it chooses any legal action."""
         skill = self.skills[slot]
         assert skill is not None
 
@@ -345,7 +345,7 @@ class DiscoveringAgent(TabularAgent):
     # --- acting -----------------------------------------------------------------------
 
     def go_on(self, slot: int, observation: Any, mask: NDArray[np.bool_]) -> int:
-        """The primitive of a running option; `NOTHING` where it is over."""
+        """Return the primitive of a running option, `NOTHING` where it is over."""
         action = NOTHING if slot == NOTHING else self.get_skill_action(slot, observation)
         return action if action != NOTHING and mask[action] else NOTHING
 
@@ -354,7 +354,7 @@ class DiscoveringAgent(TabularAgent):
         self._shown = None if skill is None else RunningCall(skill.name, None, lasted, 0.0)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Go on with a running option; else epsilon-greedy, an exploratory choice being an option or a primitive."""
+        """Continue a running option, or choose epsilon-greedily; an exploratory choice is an option or a primitive."""
         action = self.go_on(self._running, observation, action_mask)
         if action == NOTHING:
             choice = self._choose(observation, action_mask)
@@ -372,7 +372,7 @@ class DiscoveringAgent(TabularAgent):
         return choose_best(*self._compute_choices(observation, mask), self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The best choice; an option runs to its end in the evaluation that belongs to `rng`."""
+        """Return the best choice; an option runs to its end in the evaluation of `rng`."""
         (running,) = self.recall(rng) or (NOTHING,)
         action = self.go_on(running, observation, action_mask)
         if action == NOTHING:
@@ -386,7 +386,7 @@ class DiscoveringAgent(TabularAgent):
     # --- learning ---------------------------------------------------------------------
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn values, take the decision into the graph, and take what the discovery proposes."""
+        """Learn values, add the decision to the graph, and adopt proposed options."""
         before, after = (self._discretise(o) for o in (transition.observation, transition.next_observation))
         if not transition.cut:
             self.graph.add(before, transition.action, after)
@@ -401,7 +401,7 @@ class DiscoveringAgent(TabularAgent):
         return self.finish_decision(transition, error) | {"skills": found}
 
     def _place(self, slot: int, skill: TableSkill) -> None:
-        """Put an option into a slot; what was learned of another one there is forgotten."""
+        """Put an option into a slot, and reset the values of a former one there."""
         former, self.skills[slot] = self.skills[slot], skill
         is_same = former is not None and np.array_equal(former.actions, skill.actions)
         if self._chooses and former is not None and not is_same:
@@ -426,7 +426,7 @@ class DiscoveringAgent(TabularAgent):
 
 
 class GraphDiscovery(Discovery):
-    """Base of discoveries that look at the graph now and then."""
+    """Base of discoveries that search the graph at fixed intervals."""
 
     STATE = ("_decisions",)
 
@@ -439,7 +439,7 @@ class GraphDiscovery(Discovery):
         self._decisions += 1
 
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
-        """All options, whenever they are due and some states are connected."""
+        """Return all options, if they are due and some states are connected."""
         if self._decisions % self._every or len(graph) > self._most_states:
             return {}
         adjacency = graph.make_adjacency()

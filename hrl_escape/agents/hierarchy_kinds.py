@@ -18,7 +18,7 @@ LOW_LEVELS: tuple[LowLevel, ...] = ("planned", "learned")
 STRUCTURES: Mapping[HierarchyKind, str] = {
     "maxq": "hierarchy", "ham": "program", "landmarks": "goals", "feudal": "tree", "events": "goal_space",
     "displacements": "goal_space"}
-"""Kind -> the argument by which agents take it."""
+"""Kind -> the argument of agents that receives it."""
 
 
 def find_kind(agent: str, low_level: str = "learned") -> HierarchyKind:

@@ -1,4 +1,4 @@
-"""Agents made by their spec."""
+"""Construction of agents from specs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import replace_settings
 
 GOAL_RULE = "goal_rule"
-"""Name under which agents take what an environment says of its goals; those that do not take it do without."""
+"""Argument of agents for an environment's definition of goals; other agents do not use it."""
 
 
 def make_agent(agent: str | AgentSpec | type[Agent], observation_space: gymnasium.Space,
@@ -26,10 +26,10 @@ def make_agent(agent: str | AgentSpec | type[Agent], observation_space: gymnasiu
     Args:
         agent: spec such as `dqn`, `smdp-dqn+objects+memory` or `dqn@patient`, or a class. Its parts change settings;
             those about options describe the environment, whose spaces are given.
-        observation_space: what it will see.
+        observation_space: space of its observations.
         action_space: Discrete.
-        seed: 0 or more; all of the agent's randomness follows from it.
-        structure: what the agent is given beside spaces and settings, such as a `hierarchy`; see `read_structure`.
+        seed: 0 or more; determines all of the agent's randomness.
+        structure: further input of the agent, such as a `hierarchy`; see `read_structure`.
         **settings: fields of the agent's settings to change, such as `gamma=0.995`; they come after the spec's.
 
     Raises:
@@ -51,16 +51,16 @@ def make_agent(agent: str | AgentSpec | type[Agent], observation_space: gymnasiu
     if unknown := [part for part in given if part not in taken]:
         takes = find_hierarchy_part(agent_class)
         raise AgentSettingsError(f"structure of {name}", ", ".join(unknown),
-                                 "none: this agent acts by no task hierarchy" if takes is None else
+                                 "none: this agent does not use a task hierarchy" if takes is None else
                                  f"{takes}, which this agent takes")
     made: Any = agent_class
     return made(observation_space, action_space, seed, chosen, **given)
 
 
 def read_structure(env: gymnasium.Env) -> Mapping[str, Any]:
-    """Structure for the agents in an environment: the attribute `structure` of one of its wrappers, and its `GoalRule`.
+    """Return the structure in an environment: the attribute `structure` of one of its wrappers, and its `GoalRule`.
 
-    The rule is under `goal_rule`, where observations have goals.
+    The rule is under the key `goal_rule`, if observations have goals.
     """
     given = env.get_wrapper_attr("structure") if env.has_wrapper_attr("structure") else {}
     rule = read_goal_rule(env)

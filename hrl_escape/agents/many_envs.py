@@ -34,7 +34,7 @@ class EndedDecisions(NamedTuple):
 
 
 class ManyEnvs(Protocol):
-    """Many copies of an environment; `observation_space` and `action_space` are those of one.
+    """Many copies of an environment; `observation_space` and `action_space` describe a single copy.
 
     A vector environment, whose steps wait for all, may return them from its method `get_streams`. One that can make an
     ordinary environment of the same task, spaces and action numbers has the method `make_single_env`. One whose running
@@ -75,14 +75,14 @@ class ManyEnvs(Protocol):
         ...
 
     def step(self, action: Tensor) -> Any:
-        """Give waiting environments their actions, int64 (environments,), and step; episodes reset automatically.
+        """Step with actions for waiting environments, int64 (environments,); episodes reset automatically.
 
-        Returns `EndedDecisions`, or what has its attributes.
+        Returns `EndedDecisions`, or an object with its attributes.
         """
         ...
 
     def state_dict(self) -> StateTree | None:
-        """Everything that later steps depend on; None if it cannot be saved."""
+        """State that later steps depend on, or None if it cannot be saved."""
         ...
 
     def load_state_dict(self, state: StateTree) -> None:

@@ -1,12 +1,12 @@
-"""Names of agents: the list of them, their classes and named settings, and how third parties add theirs.
+"""Registry of agents: names, classes, named settings, and agents of third parties.
 
 A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
-that the file defines, abstract ones aside. Those of the family `given` act by a hierarchy that they are given, and
-those of `offline` learn from a data set, so spaces and settings alone do not make them.
+that the file defines, abstract ones aside. Agents of the family `given` act by a given hierarchy, and agents of
+`offline` learn from a data set, so spaces and settings alone are not enough to make them.
 
-`smdp-dqn` and `dqn` are one implementation. The prefix says that the agent chooses among options, and lets named
-settings differ where the published program's did. The random policy over options is `random-options`. Third-party
-agents arrive through the entry-point group `hrl_escape.agents`. No algorithm is imported before it is asked for.
+`smdp-dqn` and `dqn` are one implementation. The prefix makes the agent choose among options, and can change named
+settings as the published program did. The random policy over options is `random-options`. Third-party
+agents are registered by the entry-point group `hrl_escape.agents`. Algorithms are imported on first use.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SMDP_PREFIX = "smdp-"
 RANDOM_OPTIONS = "random-options"
 """Name of the random policy over options."""
 DEFAULT_RECIPE, KERAS_RL = "default", "keras-rl-2019"
-"""Named settings of every agent, and those of keras-rl 0.4.2 with the published 2019 program."""
+"""Named settings of every agent, and the settings of keras-rl 0.4.2 with the published 2019 program."""
 SHARED_RECIPES: dict[str, dict[str, Any]] = {
     "patient": {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000, "replay_capacity": 100_000},
     "three-parents": {"max_parents": 3},
@@ -37,7 +37,7 @@ SHARED_RECIPES: dict[str, dict[str, Any]] = {
 """Named settings of every agent that has such settings: longer exploration and a larger replay memory; and up to three
 parents a button, for agents that learn structure."""
 HIERARCHY_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree")
-"""Names under which agents take a structure, each a kind of its own."""
+"""Arguments of agents that take a structure, each a kind of its own."""
 
 
 def list_agents() -> list[str]:
@@ -69,11 +69,11 @@ def join_name(algorithm: str, over_options: bool) -> str:
 
 
 def get_agent_class(name: str) -> type[Agent]:
-    """The class behind a name, over options or not.
+    """Return the class of a name, over options or not.
 
     Raises:
         UnknownNameError: no agent has this name; the message names the closest.
-        AgentSettingsError: a third party's class is no `Agent`.
+        AgentSettingsError: a third party's class is not an `Agent`.
         PluginError: a third party's class cannot be loaded.
     """
     check_agent_name(name)
@@ -81,10 +81,10 @@ def get_agent_class(name: str) -> type[Agent]:
 
 
 def find_agent_name(agent_class: type[Agent]) -> str:
-    """Name under which a class is known.
+    """Return the registered name of a class.
 
     Raises:
-        AgentSettingsError: it has none; the message says how to register it.
+        AgentSettingsError: it has none; the message explains how to register it.
     """
     found = next((name for name, module in _find_shipped().items() if module == agent_class.__module__), None)
     found = found or next((name for name in agents if name not in _find_shipped() and agents.get(name) is agent_class),
@@ -104,13 +104,13 @@ def register_agent(name: str, agent_class: type[Agent]) -> None:
         agent_class: constructed as `Class(observation_space, action_space, seed, settings)`.
 
     Raises:
-        ConfigError: the class is no `Agent`, or another agent has that name.
+        ConfigError: the class is not an `Agent`, or another agent has that name.
     """
     agents.register(name, agent_class)
 
 
 def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
-    """Refuse a name that no agent has, over options or not, without importing any.
+    """Check that a name is an agent's, over options or not, without importing the agent.
 
     Args:
         name: to be checked.
@@ -142,7 +142,7 @@ def _load_shipped(module: str) -> type[Agent]:
 
 @cache
 def _find_shipped() -> dict[str, str]:
-    """Name -> module of every shipped algorithm: those of no family, then family by family; imports none of them."""
+    """Name -> module of every shipped algorithm: first without a family, then family by family; imports none."""
     found = walk_packages(importlib.import_module(CATALOGUE).__path__, f"{CATALOGUE}.")
     modules = sorted((module.name for module in found if not module.ispkg), key=lambda name: name.count("."))
     return {module.rpartition(".")[2].replace("_", "-"): module for module in modules}
@@ -155,14 +155,14 @@ def _list_made() -> list[str]:
 
 
 def find_agent_module(name: str) -> str | None:
-    """Module of a shipped agent, without importing it; None for an agent of a third party."""
+    """Module of a shipped agent, without importing it, or None for an agent of a third party."""
     return _find_shipped().get(split_name(name)[0])
 
 
 def list_recipes(name: str) -> dict[str, Any]:
     """Named settings of an agent, `default` first.
 
-    `keras-rl-2019` is what keras-rl 0.4.2 and the published program did, for agents that they had. For agents over
+    `keras-rl-2019` reproduces keras-rl 0.4.2 and the published program, for the agents they contain. For agents over
     options, settings that are for options come before the general ones of the same name.
 
     Raises:
@@ -204,7 +204,7 @@ def list_offline_agents() -> list[str]:
 
 
 def find_hierarchy_part(agent: str | type[Agent]) -> str | None:
-    """Name of the structure that an agent can be given, such as `hierarchy`; None where it takes none.
+    """Name of the structure that an agent can be given, such as `hierarchy`, or None if it takes none.
 
     Raises:
         UnknownNameError: no such agent.

@@ -1,6 +1,6 @@
 """Agents that act in one environment at a time, and adapters between them and batches.
 
-An `Agent` that is no `BatchAgent` has `act(observation, mask)` and `observe(transition)`. `serve_one` gives this
+An `Agent` other than a `BatchAgent` has `act(observation, mask)` and `observe(transition)`. `serve_one` gives this
 interface to every agent. `serve_many` gives the interface of `BatchAgent` to a `SwitchingAgent`, which takes its
 environments in turn.
 """
@@ -49,7 +49,7 @@ class _OneOfBatch:
 
 
 def serve_one(agent: Agent) -> OneByOne:
-    """Return the choices and updates of an agent in one environment; one that acted in many begins an episode."""
+    """Return the interface to an agent in one environment; an agent that acted in many begins an episode."""
     if not isinstance(agent, BatchAgent):
         return agent
     if agent.place != (1, None):
@@ -69,11 +69,11 @@ class SwitchingAgent(Agent):
     EPISODE_STATE: ClassVar[tuple[str, ...]] = ()
     """Keys that hold them in a state."""
     STATE = (Kept("_kept_episodes", "episodes", is_left_out=True),)
-    _episodes: list[tuple[Any, ...]] | None = None  # of each environment, and last that of a single one
+    _episodes: list[tuple[Any, ...]] | None = None  # of each environment, and last of a single one
     _env: int | None = None  # number of the environment that is served now, of many
 
     def begin_episode(self) -> None:  # noqa: B027 - optional: many agents remember nothing of an episode
-        """Forget the running episode."""
+        """Clear the memory of the running episode."""
 
     def begin_episodes(self, num_envs: int, device: torch.device) -> None:
         """Begin an episode in every environment; decisions that have not ended are dropped."""
@@ -97,14 +97,14 @@ class SwitchingAgent(Agent):
 
     @contextmanager
     def serve(self, env: int) -> Iterator[None]:
-        """Put an environment's episode in place, and afterwards that of a single environment."""
+        """Restore an environment's episode, and afterwards the episode of a single environment."""
         self._env = env
         self._place(env)
         yield
         self._leave(env)
 
     def _leave(self, env: int) -> None:
-        """Put an environment's episode away, and that of a single environment in its place."""
+        """Store an environment's episode, and restore the episode of a single environment."""
         assert self._episodes is not None, "begin_episodes comes first"
         self._episodes[env] = tuple(getattr(self, name) for name in self.EPISODE)
         self._env = None
@@ -117,7 +117,7 @@ class SwitchingAgent(Agent):
 
     @property
     def _kept_episodes(self) -> list[StateTree] | None:
-        """Running episodes of all environments; None without any."""
+        """Running episodes of all environments, or None without any."""
         if not self.EPISODE or not self._episodes:
             return None
         trees: list[StateTree] = [{} for _ in self._episodes[1:]]
@@ -129,7 +129,7 @@ class SwitchingAgent(Agent):
 
     @_kept_episodes.setter
     def _kept_episodes(self, saved: list[StateTree] | None) -> None:
-        """Episodes go on if there are as many environments."""
+        """Episodes continue if there are as many environments."""
         for env, tree in enumerate(saved if saved and len(saved) + 1 == len(self._episodes or ()) else ()):
             with self.serve(env):
                 for kept in self._list_episode():
@@ -180,7 +180,7 @@ class _InTurn:
 
 
 def serve_many(agent: Agent) -> ByBatch:
-    """Return the choices and updates of an agent in many environments; it is one of `MANY`."""
+    """Return the interface to an agent in many environments; its class is one of `MANY`."""
     if isinstance(agent, SwitchingAgent):
         return _InTurn(agent)
     assert isinstance(agent, BatchAgent)

@@ -5,8 +5,8 @@
 | `dqn` | DQN, which acts with primitives |
 | `smdp-dqn` | DQN, which chooses among options |
 | `smdp-dqn+primitives` | DQN, which chooses among options and primitives |
-| `smdp-ppo+objects+memory` | parts behind `+`, see `PARTS` |
-| `dqn@patient` | named settings behind `@`, see `registry.list_recipes` |
+| `smdp-ppo+objects+memory` | parts after `+`, see `PARTS` |
+| `dqn@patient` | named settings after `@`, see `registry.list_recipes` |
 | `dqn(gamma=0.95,hidden=[64,64])` | settings by name |
 | `maxq-q+planned` | a hierarchy of the room, with a planned low level |
 
@@ -47,7 +47,7 @@ SWEEP, SWEEP_RANDOM = "sweep", "sweep-random"
 SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK = "search-random", "search-nearest", "search-backtrack"
 BAYES, ORACLE = "bayes", "oracle"
 REFERENCES = (SWEEP, SWEEP_RANDOM, SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK, BAYES, ORACLE)
-"""Agents that follow a rule and learn nothing; `benchmark.references` makes them."""
+"""Agents that follow a fixed rule; `benchmark.references` makes them."""
 _ALONE = (*REFERENCES, TEXT_AGENT)
 """Agents that are made from a room instead of spaces and settings."""
 
@@ -64,14 +64,14 @@ class OptionsView(Settings):
     interruptible: bool = False
     """Options return to the agent after every primitive."""
     max_duration: Annotated[int, Range(1, LARGEST)] | None = None
-    """Primitives after which an option is stopped."""
+    """Maximum primitives of an option."""
     memory: bool = False
     """Append an episode's failures and successes to the rows of the observation `objects`; see `DecisionMemory`."""
 
 
 @dataclass(frozen=True)
 class AgentPart:
-    """Part of a spec, behind `+`."""
+    """Part of a spec, after `+`."""
 
     about: str  # effect, for help texts
     title: str  # in display names; empty where another part says it
@@ -90,12 +90,12 @@ PARTS: dict[str, AgentPart] = {
                            options={"option_set": "press-with-ancestors"}),
     "interruptible": AgentPart("options that return after every primitive", "with interruption",
                                options={"interruptible": True}),
-    "primitives": AgentPart("primitives beside the options", "", options={"include_primitives": True}),
+    "primitives": AgentPart("primitives in addition to the options", "", options={"include_primitives": True}),
     "planned": AgentPart("a hierarchy synthesised from the room, with a planned low level", "with a planned low level",
                          low_level="planned"),
     "learned": AgentPart("the same, with a learned low level", "with a learned low level", low_level="learned"),
 }
-"""Parts of a spec behind `+`, in the order in which specs are written."""
+"""Parts of a spec after `+`, in their written order."""
 
 _GRAMMAR = re.compile(r"(?P<name>[^(@+]*)(?:\((?P<settings>.*)\))?(?:@(?P<recipe>[^@+()]*))?(?P<parts>(?:\+[^+()@]*)*)",
                       re.DOTALL)
@@ -133,21 +133,22 @@ class AgentSpec(Settings):
 
     _section = "agent"
     name: str = "random"
-    """Name in the registry, smdp- in front to choose options; or one of `REFERENCES`, which learn nothing."""
+    """Name in the registry, with `smdp-` in front to choose options; or one of `REFERENCES`, which follow fixed
+    rules."""
     label: str = dataclasses.field(default="", compare=False)
     """Name in tables and curves; empty for the text of the spec."""
     recipe: str = DEFAULT_RECIPE
-    """Named settings, such as keras-rl-2019; `hrl-escape list recipes` shows those of each agent."""
+    """Named settings, such as keras-rl-2019; `hrl-escape list recipes` lists them for each agent."""
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Settings that differ from the named ones."""
     options: OptionsView = OptionsView()
     """Options it chooses among, if it does."""
     low_level: Literal["planned", "learned"] | None = None
-    """Low level of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq; None for no
+    """Low level of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq, or None for no
     hierarchy."""
 
     def check(self) -> None:
-        """Refuse an unknown agent, and fill in the label."""
+        """Check the name of the agent, and fill in the label."""
         refuse_old(self.name)
         check_agent_name(self.name, _ALONE)
         object.__setattr__(self, "settings", FrozenSettings(self.settings))
@@ -161,11 +162,11 @@ class AgentSpec(Settings):
 
     @classmethod
     def parse(cls, agent: str | AgentSpec | type[Agent] | Agent) -> AgentSpec:
-        """Read an agent as every command and function takes it.
+        """Convert any form of an agent to a spec, for all commands and functions.
 
         Args:
             agent: the text of a spec, such as `dqn`, `smdp-dqn@keras-rl-2019` or `smdp-ppo+objects+memory`; a spec;
-                or a registered agent class or an instance of one, whose settings count and not what it has learned.
+                or a registered agent class or an instance of one, of which only the settings are used.
 
         Returns:
             The spec. Its named settings and settings are looked up by `resolve_settings`.
@@ -255,26 +256,26 @@ class AgentSpec(Settings):
 
     @property
     def chooses_options(self) -> bool:
-        """Agent acts on the SMDP view of a room."""
+        """True if the agent acts on the SMDP view of a room."""
         return split_name(self.name)[1] if self.name not in _ALONE else self.name != ORACLE
 
     @property
     def algorithm(self) -> str:
-        """Name in the registry, whatever the agent chooses among: `dqn` of `smdp-dqn`, `random` of `random-options`."""
+        """Name in the registry without its prefix: `dqn` of `smdp-dqn`, `random` of `random-options`."""
         return split_name(self.name)[0]
 
     @property
     def is_reference(self) -> bool:
-        """Agent follows a rule or calls tools, without training: one of `REFERENCES`, or `text-agent`."""
+        """True if the agent follows a fixed rule or calls tools: one of `REFERENCES`, or `text-agent`."""
         return self.name in _ALONE
 
     @property
     def learns(self) -> bool:
-        """Agent learns, so is neither the random policy nor a reference."""
+        """True if the agent learns, unlike the random policy and references."""
         return not self.is_reference and self.algorithm != "random"
 
     def resolve_settings(self) -> dict[str, Any]:
-        """All its settings, as a JSON value; of the references only `text-agent` has some.
+        """Return all settings as a JSON value; among references only `text-agent` has settings.
 
         Raises:
             EscapeError: no such agent, named settings or setting, an impossible value, or no hierarchy for this agent.
@@ -285,7 +286,7 @@ class AgentSpec(Settings):
             return self._resolve_text_agent()
         if self.is_reference:
             if self.settings or self.recipe != DEFAULT_RECIPE:
-                raise GridError(f"{self.label}: a reference has no settings and no recipe")
+                raise GridError(f"{self.label}: a reference has no settings")
             return {}
         chosen = replace_settings(get_recipe(self.name, self.recipe), self.settings)
         return json.loads(json.dumps(dataclasses.asdict(chosen)))
@@ -299,27 +300,27 @@ class AgentSpec(Settings):
 
     @property
     def remembers(self) -> bool:
-        """Agent keeps what it has met in a room through the trials there."""
+        """True if the agent keeps its memory of a room across trials."""
         return self.settings.get("memory", "none") != "none" or self.options.memory
 
     @property
     def reads_objects(self) -> bool:
-        """Agent needs the observation `objects`."""
+        """True if the agent needs the observation `objects`."""
         return self.settings.get("network") == "objects" or self.options.memory
 
     @property
     def default_observation(self) -> str:
-        """Observation of the agent where none is asked for."""
+        """Default observation of the agent."""
         return "objects" if self.reads_objects else "features"
 
     @property
     def privileges(self) -> tuple[str, ...]:
-        """Information that its hierarchy gives it and that others lack; printed in tables."""
+        """Information of its hierarchy that other agents lack; printed in tables."""
         return () if self.low_level is None else list_privileges(self.name, self.low_level)
 
     @property
     def needs_trace(self) -> bool:
-        """Agent learns from the primitives inside options."""
+        """True if the agent learns from the primitives inside options."""
         return self.chooses_options and not self.is_reference and get_agent_class(self.name).needs_trace
 
 

@@ -3,8 +3,8 @@
     class Learner(Stateful):
         STATE = ("table", "_steps", "_rng")
 
-saves {"table": ..., "steps": ..., "rng": ...}: a subclass's declaration adds to those of its bases, whose keys come
-first. What an attribute is decides how it is kept:
+saves {"table": ..., "steps": ..., "rng": ...}: a subclass's declaration adds to its bases' declarations, whose keys
+come first. What an attribute is decides how it is kept:
 
 | attribute | in the tree | loading |
 |---|---|---|
@@ -18,9 +18,9 @@ first. What an attribute is decides how it is kept:
 | list, dict of what a tree holds | as it is | a copy |
 | anything else | as `Kept.pack` makes it | as `Kept.unpack` makes it |
 
-Where the attribute is None and the tree holds a part's state, or the other way round, nothing is loaded: whoever made
-the tree had a part that is not here. `Kept` gives an attribute another key, a form of its own, or leaves its key out
-while it is None. `Columns` keeps tables, dicts with the same keys. A class whose form follows from more than one
+If the attribute is None and the tree holds a part's state, or the other way round, nothing is loaded: the tree is from
+an object with a part that this one lacks. `Kept` gives an attribute another key, a form of its own, or leaves its key
+out while it is None. `Columns` keeps tables, dicts with the same keys. A class whose form follows from more than one
 attribute gives a property with a setter, or writes the two methods itself. What follows from the state (an index, a
 plan) is computed in `after_load`.
 """
@@ -50,7 +50,7 @@ class Kept:
     attribute: str  #: its name, or a path through parts such as `noise.state`
     key: str = ""  #: in the tree; by default the attribute's name without underscores before it
     pack: Callable[[Any], Any] | None = None  #: from a value that is not None to its form in the tree
-    unpack: Callable[[Any], Any] | None = None  #: from that form to the value; None takes it as `restore_value` does
+    unpack: Callable[[Any], Any] | None = None  #: from that form to the value; by default as `restore_value`
     is_left_out: bool = False  #: the tree has no such key while the attribute is None
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class Kept:
             setattr(owner, name, value)
 
     def _find_owner(self, holder: Any) -> Any:
-        """Object that has the attribute itself, at the end of its path; None where the path ends early."""
+        """Object that has the attribute itself, at the end of its path, or None if the path ends early."""
         for name in self.attribute.split(".")[:-1]:
             holder = None if holder is None else getattr(holder, name)
         return holder
@@ -130,7 +130,7 @@ def pack_columns(rows: Iterable[Any], names: Iterable[str]) -> StateTree:
 
 
 def unpack_columns(saved: StateTree, names: Iterable[str]) -> Iterator[tuple[Any, ...]]:
-    """Rows of the columns of these names; numbers are those of Python."""
+    """Rows of the columns of these names, with numbers of Python."""
     columns = (np.asarray(saved[name]) for name in names)
     return zip(*(column.tolist() if column.ndim == 1 else list(column) for column in columns), strict=True)
 
@@ -142,7 +142,7 @@ def _get(tree: StateTree, key: str, holder: Any) -> Any:
 
 
 class Stateful:
-    """Base of whatever a checkpoint holds. See the module's text for how attributes are kept."""
+    """Base of classes with a state in checkpoints. See the module's text for how attributes are kept."""
 
     STATE: ClassVar[tuple[str | Kept | Columns, ...]]
     """Attributes that the class adds to the state of its bases, in the order of the tree."""
@@ -150,7 +150,7 @@ class Stateful:
     def state_dict(self) -> StateTree:
         """Everything that `STATE` names.
 
-        Arrays may share memory with their owner: write or copy them before it goes on learning.
+        Arrays may share memory with their owner: write or copy them before it continues to learn.
 
         Raises:
             TypeError: neither the class nor a base declares a state, or a value has no form in a tree.
@@ -161,7 +161,7 @@ class Stateful:
         return tree
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on exactly where `state_dict` was taken, to the last bit.
+        """Restore the state of `state_dict`, to the last bit.
 
         Raises:
             CheckpointError: the tree lacks something, or does not fit.
@@ -217,7 +217,7 @@ def read_value(value: Any, where: str) -> Any:
 
 
 def restore_value(value: Any, saved: Any, where: str) -> Any:
-    """The value that a form in a tree stands for; parts, generators and tensors are changed in place.
+    """Return the value of a form in a tree; parts, generators and tensors are changed in place.
 
     Raises:
         CheckpointError: the form does not fit.

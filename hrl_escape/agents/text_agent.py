@@ -1,4 +1,4 @@
-"""Settings of the agent `text-agent`, and the levels of what is told; light, for users of the names alone."""
+"""Settings of the agent `text-agent`, and the levels of revealed information; light, for users of the names alone."""
 
 from __future__ import annotations
 

@@ -65,6 +65,6 @@ _TITLES = {
 
 
 def find_title(name: str) -> str:
-    """Display name of an agent, whatever it chooses among; an agent of a third party has its name."""
+    """Display name of an agent without its options; an agent of a third party has its name."""
     algorithm = split_name(name)[0]
     return _TITLES.get(algorithm, algorithm)

@@ -198,7 +198,7 @@ def read_archive(path: str | Path, folder: Path | None = None) -> AgentArchive:
 
     Args:
         path: the archive.
-        folder: empty folder to write the parts to; None writes nothing.
+        folder: empty folder to write the parts to, or None.
 
     Raises:
         FileReadError: the file is missing or cannot be read.

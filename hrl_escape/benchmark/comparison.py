@@ -205,7 +205,6 @@ def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, fl
 
 
 def _make_runs(grid: Grid) -> tuple[tuple[RunPlace, ...], list[GridRun]]:
-    """Make the places and the runs of a grid."""
     places = grid.make_places()
     return places, grid.make_runs(places)
 

@@ -56,7 +56,7 @@ def convert_file(path: Path, out: Path) -> str:
         Description of the converted file.
 
     Raises:
-        FileReadError: there is no such file, or it cannot be read.
+        FileReadError: no such file, or it cannot be read.
         CheckpointError: a run is damaged.
         UnsupportedError: the file is of another kind or version.
         FileWriteError: `out` cannot be written.
@@ -186,7 +186,7 @@ def _convert_grid_file(path: Path, out: Path) -> str:
     is_toml = path.suffix.lower() == ".toml"
     content = read_toml(path, "grid") if is_toml else read_json(path, "grid")
     if not isinstance(content, dict) or "agents" not in content:
-        raise UnsupportedError(f"{path}: this is no grid, for it has no agents")
+        raise UnsupportedError(f"{path}: not a grid: it has no `agents`")
     if "format" in content:
         raise UnsupportedError(f"{path}: this grid is of format {content['format']} already")
     if content.get("until_solved") is not None:

@@ -100,7 +100,7 @@ def find_recorder(env: gymnasium.Env) -> StateRecorder:
     """Find the recorder among the wrappers of a room.
 
     Raises:
-        UnsupportedError: there is no recorder.
+        UnsupportedError: no recorder among the wrappers.
     """
     while isinstance(env, gymnasium.Wrapper):
         if isinstance(env, StateRecorder):

@@ -161,7 +161,7 @@ Finals: TypeAlias = Mapping[tuple[str, int], float]
 class Pair:
     """Two agents compared."""
 
-    improvement: Estimate  # share of pairs in which the first is above the second, ties half
+    improvement: Estimate  # share of pairs with the first above the second, ties half
     difference: Estimate  # of mean efficiency, first minus second; its interval is not corrected
     p: float  # two-sided, corrected over the family; 1 if one of the agents is not in it
     count: int  # (room, seed) pairs

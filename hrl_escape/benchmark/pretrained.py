@@ -97,7 +97,7 @@ def load_pretrained(rung: str, agent: str | AgentSpec | type[Agent] = "") -> Pre
         agent: spec of the agent, such as `smdp-ppo+objects+memory`; the rung's first one by default.
 
     Raises:
-        UnknownNameError: there is no such agent; the message lists the agents of the rung.
+        UnknownNameError: no such agent; the message lists the agents of the rung.
     """
     path = find_pretrained(rung, str(AgentSpec.parse(agent)) if agent else "")
     with tempfile.TemporaryDirectory() as made:
@@ -122,7 +122,7 @@ def find_pretrained(rung: str, agent: str = "") -> Path:
         agent: spec of the agent; the rung's first one by default.
 
     Raises:
-        UnknownNameError: there is no such agent.
+        UnknownNameError: no such agent.
     """
     known = list_pretrained()
     if rung not in known:

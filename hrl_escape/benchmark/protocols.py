@@ -20,7 +20,7 @@ from hrl_escape.sets.room_sequence import SEQUENCE_HORIZON
 from hrl_escape.sets.room_spec import RoomSpec
 
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "sequence"]
-"""How agents train and are tested on a rung.
+"""Training and test rooms of the agents on a rung.
 
 - `per-instance`: train from scratch in each test room.
 - `generalise`: train in training rooms, test in other rooms of the same rung.
@@ -48,7 +48,7 @@ def get_budget(rung: str) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class LadderSettings:
-    """Settings of a protocol; None takes the protocol's default."""
+    """Settings of a protocol; None selects the protocol's default."""
 
     runs: int = 10
     """Training seeds in each room or set."""

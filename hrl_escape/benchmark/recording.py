@@ -93,7 +93,7 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Rec
         raise UnknownNameError("reference", agent, REFERENCES)
     room: Any = env.unwrapped
     if not isinstance(getattr(room, "instance", None), RoomInstance):
-        raise UnsupportedError(f"{room} is no room: only episodes of rooms are recorded")
+        raise UnsupportedError(f"{room} is not a room: only episodes of rooms can be recorded")
     total, success = 0.0, False
     decisions: list[tuple[str, int, str]] = []
     with _recording(env) as (recorded, recorder):

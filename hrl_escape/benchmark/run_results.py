@@ -89,7 +89,7 @@ class RunResult:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether no evaluation episode succeeded in the last fifth of the budget."""
+        """True if no evaluation episode succeeded in the last fifth of the budget."""
         return self.get_final("success_rate") == 0.0
 
 

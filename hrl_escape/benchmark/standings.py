@@ -38,7 +38,7 @@ def compute_learned_share(efficiency: float, search: float, bayes: float) -> flo
         bayes: of the Bayes planner.
 
     Returns:
-        The share: negative below the baseline, above 1 beyond the Bayes planner. None if the two differ by less than
+        Share: negative below the baseline, above 1 beyond the Bayes planner, or None if the two differ by less than
         `LEAST_HEADROOM`.
     """
     return (efficiency - search) / (bayes - search) if bayes - search >= LEAST_HEADROOM else None

@@ -20,7 +20,7 @@ Scores: TypeAlias = Sequence[Floats]
 LEAST_RUNS = 10
 """Smallest number of runs for a conclusion."""
 LATE = 0.8
-"""Share of the budget from which evaluations count for the final value."""
+"""Share of the budget; later evaluations count for the final value."""
 
 
 def compute_score(returns: ArrayLike, worst: ArrayLike, best: ArrayLike) -> Floats:

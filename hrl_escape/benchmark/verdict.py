@@ -174,7 +174,6 @@ def _compare_with_random(summary: Summary) -> list[str]:
 
 
 def _list_search_baselines(summary: Summary) -> list[AgentSummary]:
-    """Return the search baselines of a summary."""
     return [agent for agent in summary.agents if agent.spec.name in references.SEARCH_BASELINES]
 
 
@@ -216,7 +215,7 @@ def _describe_gap(summary: Summary) -> list[str]:
     leader = find_leader(summary.agents)
     missing = sum(leader.gap)
     if missing <= 0.0005:
-        return [f"`{leader.label}` is as efficient as the best known escape: nothing is missing."]
+        return [f"`{leader.label}` is as efficient as the best known escape."]
     way = f"`{leader.label}` has an efficiency of {leader.efficiency.value:.3f}, where the best known escape has 1"
     if leader.gap.options > 0.0005:
         return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
@@ -242,7 +241,6 @@ def _describe_generalisation(summary: Summary) -> list[str]:
 
 
 def _describe_trials(summary: Summary) -> list[str]:
-    """Describe the efficiency at each trial in the same rooms."""
     tried = [agent for agent in summary.agents if agent.trials]
     if not tried:
         return []
@@ -278,7 +276,7 @@ def _write_cautions(summary: Summary) -> list[str]:
         cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
     if grid.runs < LEAST_RUNS:
         cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: with `--runs {LEAST_RUNS}` the same "
-                        "command goes on from these, to a verdict.")
+                        "command continues these runs, to a verdict.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     covered = [_get_choices(agent) for agent in summary.agents

@@ -42,7 +42,7 @@ def convert_data(path: Path, out: Path) -> str | None:
         Description of the converted file, or None for other kinds of files.
 
     Raises:
-        FileReadError: there is no such file, or it is damaged.
+        FileReadError: no such file, or it is damaged.
         VerificationError: a game's replay differs.
         FileWriteError: it cannot be written.
     """

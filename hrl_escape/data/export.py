@@ -95,7 +95,7 @@ def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLi
 
 @contextmanager
 def _using_minari_folder(folder: str | PathLike[str] | None) -> Iterator[None]:
-    """Set Minari's folder of data sets temporarily; None changes nothing."""
+    """Set Minari's folder of data sets temporarily, unless it is None."""
     before = os.environ.get(MINARI_FOLDER)
     if folder is not None:
         os.environ[MINARI_FOLDER] = str(Path(folder).absolute())

@@ -61,7 +61,7 @@ class RecordingComparison(NamedTuple):
 
     @property
     def fits(self) -> bool:
-        """Whether the recording can be used under the name."""
+        """True if the recording can be used under the name."""
         return self.standing in ("published", "unpublished", "medium")
 
     @property

@@ -221,7 +221,6 @@ def _make_behaviour(spec: DataSpec, rooms: InstanceSet, folder: Path) -> tuple[g
 
 
 def _choose_any(observation: Any, legal: NDArray[np.bool_], rng: np.random.Generator, begins: bool) -> int:
-    """Any legal action."""
     return sample_legal(legal, rng)
 
 
@@ -256,7 +255,7 @@ class HalfWay(Stateful):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Rule by which the run ends, part of its key."""
+        """Rule that ends the run, part of its key."""
         return {"until": "half efficiency", "fewest": self._fewest}
 
     def after_decision(self, agent: Agent, primitives: int) -> None:

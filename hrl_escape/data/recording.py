@@ -1,4 +1,4 @@
-"""Recordings: the choices of episodes, from which a data set is replayed exactly. Most take under a byte a primitive.
+"""Recordings: choices of episodes that replay a data set exactly. Most take under a byte a primitive.
 
 A recording is one compressed npz of flat arrays and a JSON text, `about`. It holds the seed and room of every episode,
 every primitive, and for every decision its option, duration, ending and legal options. States, observations and rewards
@@ -113,7 +113,7 @@ class Recording:
         """
         rooms = find_set(self.about["rooms"])
         if rooms.describe()["id"] != self.about["rooms_id"]:
-            raise FileReadError(f"recording {self.about['name']}: its rooms {self.about['rooms']} are not those of "
+            raise FileReadError(f"recording {self.about['name']}: the set of rooms {self.about['rooms']} differs in "
                                 f"this version (recorded with hrl_escape {self.about['package']}); record it again")
         return rooms
 

@@ -33,9 +33,10 @@ class CollisionMap:
     its centre to the nearest solid, capped at `horizon`; the distance anywhere in it differs by at most `slack`.
 
     Attributes:
-        radius: radius of the smallest disc that holds the base, plus contact skin, m: where it fits, any heading does.
-        inner: that of the largest disc within the base: where it does not fit, no heading does. A base that is a disc
-            has one radius.
+        radius: radius of the smallest disc that contains the base, plus contact skin, m. Where it fits, any heading
+            fits.
+        inner: radius of the largest disc within the base, m. Where it does not fit, no heading fits. Equal to `radius`
+            for a disc.
         base: the base, plus contact skin.
         grid: its cells.
         low: corner of the grid with the smallest coordinates, shape (2,), m.
@@ -72,7 +73,7 @@ class CollisionMap:
         self.solids = self._neighbourhood.shapes
 
     def _copy(self, footprints: tuple[Footprint, ...]) -> CollisionMap:
-        """Copy of the map with other solids, whose distances are still those of the present ones."""
+        """Return a copy of the map with other solids, which keeps the distances to the present ones."""
         new = copy.copy(self)
         new.__dict__.pop("_labels", None)
         new._take_solids(footprints)
@@ -96,7 +97,7 @@ class CollisionMap:
         return new
 
     def keep_out(self, footprints: Sequence[Footprint]) -> CollisionMap:
-        """Make the map of a room in which these footprints are solid, too."""
+        """Return the map of the room with these footprints as further solids."""
         new = self._copy((*self.footprints, *footprints))
         for footprint in footprints:
             new._lower(footprint)
@@ -194,7 +195,7 @@ class CollisionMap:
         return np.where(cells >= 0, self._labels.ravel()[cells], 0)
 
     def find_proof(self, x: float, y: float, goal: Footprint, reach: float) -> Literal["solid", "apart"] | None:
-        """Prove by the grid that the body cannot get from a place to within `reach` of a footprint; None if it may.
+        """Prove by the grid that the body cannot get within `reach` of a footprint; return None without a proof.
 
         `"solid"`: it fits nowhere there; `"apart"`: no path leads there.
         """

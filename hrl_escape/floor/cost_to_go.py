@@ -30,7 +30,7 @@ MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
 """Memory for the cached fields of one grid, bytes; a field of a room of 20 m takes 0.1 to 0.3 MB."""
 EXPLORED = 8
-"""Share of a grid's cells, one in this many, up to which what is cut off is explored from either side."""
+"""Exploration of a closed area visits at most one in this many cells of the grid from either side."""
 SLICE = 100_000
 """States that a kernel processes between two checks of a clock."""
 
@@ -64,12 +64,12 @@ class _Links(NamedTuple):
     """Reversed moves: those into state s, a (cell, class), are from `starts[s]` to before `starts[s + 1]`."""
 
     starts: NDArray[np.int32]  # shape (cells * classes + 1,), int32
-    sources: NDArray[np.int32]  # cell from which each begins, shape (links,), int32
+    sources: NDArray[np.int32]  # first cell of each, shape (links,), int32
     costs: NDArray[np.int16]  # its primitives, shape (links,), int16
 
 
 def count_classes(rules: Rules) -> int:
-    """Number of heading classes: turn steps of a quarter or half a turn, or more where that is no whole number."""
+    """Number of heading classes: turn steps of a quarter or half a turn, or more if the steps do not divide it."""
     return rules.headings // math.gcd(rules.headings, rules.symmetry)
 
 
@@ -86,9 +86,9 @@ class FieldMaker:
 
     A disc that strafes has the same moves at headings 90 degrees apart, one with a differential drive at opposite
     ones, where a rectangle covers the same floor. So links distinguish only `classes` headings: the turn steps of a
-    quarter or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a stride
-    wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class) states; a link then
-    stands for several moves in a row, so that one of strides still spans about four cells.
+    quarter or half a turn, or more if the steps do not divide it. Cells are a quarter of a stride wide, at most 0.25 m,
+    and wider where a room would have more than 1.5 million (cell, class) states. A link then represents several moves
+    in a row, and a link of strides still spans about four cells.
 
     Attributes:
         collision: clearances of the room, with its exit door shut if `door_shut`.
@@ -112,7 +112,7 @@ class FieldMaker:
             rules: its rules, for headings and touching.
             door_shut: True to shut the exit door, if there is one.
             refinement: number of times that the cells are halved.
-            collision: clearances of the room with the door like that; None to compute them.
+            collision: clearances of the room with the door in this state, or None to compute them.
             path: places (n, 2) of a path, m; the grid then holds only cells in a corridor round it.
             width: half width of the corridor, in moves.
             clock: time limit.
@@ -163,7 +163,7 @@ class FieldMaker:
                                            self._within, self.points, self.standing)
 
     def _choose_headings(self, clock: Clock) -> None:
-        """Find the headings at which the base fits and its free turns; for a disc, all of them."""
+        """Find the headings that fit the base in each cell, and its free turns; for a disc, all of them."""
         self._fits, self._can_turn = None, np.zeros(0, dtype=np.bool_)
         if self.scene.kind < 0:
             return
@@ -204,7 +204,7 @@ class FieldMaker:
         return self._known_links
 
     def _link_cells(self, landings: _Landings) -> None:
-        """Invert the moves: for each cell, the cells from which one move lands there, and its cost."""
+        """Invert the moves: for each cell, the origins of the moves that end there, and their costs."""
         self._landings = landings if self._keeps_landings else None
         self._known_links = _Links(*dijkstra.link_cells(*landings, self.classes, self._moves.shape[1]))
 
@@ -212,7 +212,7 @@ class FieldMaker:
 
     def adapt(self, instance: RoomInstance, collision: CollisionMap, changed: Sequence[Footprint],
               keeps: Callable[[Any], bool]) -> FieldMaker:
-        """Make the grid of a room that differs in some solids only, equal to one made anew; the base turns anywhere.
+        """Return the grid of a room that differs in some solids only, equal to a new grid; the base turns anywhere.
 
         `changed` are their footprints before and after. Columns of cells that none of them comes near are taken over,
         and fields where no cell has changed and `keeps` says of their key that the goal is still the same.
@@ -257,8 +257,8 @@ class FieldMaker:
                    presser: Presser = POINT) -> Seeds:
         """States in a goal, or one move away: the body's axis within `reach` of a footprint, m.
 
-        At any heading, or at those of `facing` (headings,). Where a rectangle must touch the goal, `reach` alone is
-        only necessary.
+        At any heading, or at the headings `facing` (headings,). Where a rectangle must touch the goal, `reach` alone
+        is only necessary.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])
@@ -293,7 +293,7 @@ class FieldMaker:
         """Field of states with a known cost-to-go, over the cells `allowed` (cells,). Raises `OutOfTime`.
 
         It has shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
-        Cells in which the body does not fit take the least cost-to-go of their neighbours.
+        Cells without room for the body take the least cost-to-go of their neighbours.
         """
         headings = seeds.headings
         allowed = np.ones(len(self.points), dtype=np.bool_) if allowed is None else allowed
@@ -332,8 +332,8 @@ class FieldMaker:
                    clock: Clock = NO_LIMIT) -> bool:
         """Return true only if a field of these seeds is -1 at a state, found sooner than the field and its links.
 
-        What leads to the seeds, or else what the state leads to, is explored up to an eighth of the cells, by a kernel
-        each, in which nothing looks at the clock.
+        The states that lead to the seeds, or else the states after this one, are explored up to an eighth of the
+        cells. One kernel does each, without checks of the clock.
 
         Raises:
             OutOfTime: the clock is up before either.
@@ -352,7 +352,7 @@ class FieldMaker:
         return bool(result == dijkstra.CUT_OFF)
 
     def _list_sources(self, state: RoomState, headings: int, allowed: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """States of the grid of which a field at a pose has the least: its own, or its neighbours' where that is none.
+        """States of the grid whose least value is the field at a pose: its own, or its neighbours' if it has none.
 
         Without any of them a field there is -1.
         """

@@ -68,7 +68,7 @@ def choose_points(scene, low, size, rows, first, last, within, points, standing)
 
 @kernel_in_place
 def choose_headings(scene, points, standing, turns, turn_step, first, last, fits, can_turn):
-    """Fill in at which headings a rectangular base `fits` in some cells, and where it `can_turn` on the spot."""
+    """Fill in the headings of a rectangular base that fit in some cells, and the turns on the spot that it can make."""
     classes = turns.shape[0] - 1
     for cell in range(first, last):
         if not standing[cell]:
@@ -84,7 +84,7 @@ def choose_headings(scene, points, standing, turns, turn_step, first, last, fits
 
 @kernel_in_place
 def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
-    """Fill in the cells, or -1, to which moves lead from some cells and what they cost: by cell, class and translation.
+    """Fill in the cells, or -1, where moves from some cells end, and their costs: by cell, class and translation.
 
     `moves` are displacements, (classes, translations, 2), m; a whole one costs its `steps` primitives.
     """
@@ -95,7 +95,7 @@ def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, ste
 
 @kernel_part
 def _land(scene, points, fits, turns, cells_a_row, low, size, moves, steps, cell, first, landing, link_cost):
-    """Fill in, from `first` on, to which cells the moves from one cell lead and what they cost."""
+    """Fill in, from `first` on, the cells where the moves from one cell end, and their costs."""
     classes, translations = moves.shape[0], moves.shape[1]
     columns = points.shape[0] // cells_a_row
     layers = fits.shape[0] // points.shape[0]
@@ -334,7 +334,7 @@ def _visit(marks, queue, count, state):
 @kernel
 def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds,
               wanted, far, most):
-    """Grow the states that lead to some seeds, as `run_dijkstra` would, by links that are found as they are needed.
+    """Grow the states that lead to some seeds, as `run_dijkstra` would, and find links on the way.
 
     `seeds` and `wanted` are states cell * headings + heading, and a move leads at most `far` cells along each axis.
     Returns `CUT_OFF` if no wanted state leads to a seed, `JOINED` if one does, and `UNDECIDED` once the links of `most`
@@ -402,7 +402,7 @@ def grow_back(scene, points, fits, turns, rows, low, size, moves, turn_steps, ca
 @kernel
 def grow_on(scene, points, fits, turns, rows, low, size, moves, turn_steps, can_turn, headings, allowed, seeds, wanted,
             most):
-    """Grow the states to which the wanted ones lead; arguments and result as of `grow_back`."""
+    """Grow the states that the wanted ones lead to; arguments and result as in `grow_back`."""
     classes, translations, cells = moves.shape[0], moves.shape[1], points.shape[0]
     marks = np.zeros(cells * headings, dtype=np.int8)
     queue = np.empty(cells * headings, dtype=np.int32)

@@ -1,4 +1,4 @@
-"""Sweeps and clearances of the body in compiled code, bit for bit those of `Kinematics`.
+"""Sweeps and clearances of the body in compiled code, with the same bits as `Kinematics`.
 
 The geometry is the source of `env/geometry.py` and of the bases, compiled unchanged by numba, which this loads.
 """
@@ -98,7 +98,7 @@ class SweepScene(NamedTuple):
     solids: NDArray[np.float64]  # rows of `stack_footprints`, shape (n, 7)
     door: int  # row of the shut exit door, or -1
     radius: float  # radius of the smallest disc that holds the base, plus contact skin, m
-    inner: float  # that of the largest disc within the base, m
+    inner: float  # radius of the largest disc within the base, m
     kind: int  # number of the base in `bases`; -1 for one that turns anywhere
     size: NDArray[np.float64]  # of the base, plus contact skin, m
     low: NDArray[np.float64]  # corner of both grids, shape (2,), m
@@ -150,7 +150,7 @@ def measure_clearance(scene, x, y):
 
 @kernel_part
 def _lets_out(scene, item, x, y, turn, shape):
-    """Return whether a base stands in the shut door, which then lets it out."""
+    """Return whether a base is in the shut exit door, which does not block a body inside it."""
     if item != scene.door:
         return False
     if scene.kind < 0:

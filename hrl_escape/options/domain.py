@@ -37,7 +37,7 @@ class DomainStep(NamedTuple):
     observation: Any  # of the wrapped environment, after
     rewards: tuple[float, ...]  # one a primitive; one, unless the wrapped environment has options itself
     info: Mapping[str, Any]  # of the wrapped environment, after
-    events: Events = QUIET  # what happened in a room; nothing elsewhere, and above other options
+    events: Events = QUIET  # of a room; empty elsewhere, and above other options
 
 
 @runtime_checkable

@@ -42,7 +42,6 @@ class PredictingModel(Protocol):
 
 
 def _find_legal(legal: LegalActions, state: Any) -> NDArray[np.bool_]:
-    """Return the legal actions, bool (actions,)."""
     return np.asarray(legal(state), np.bool_) if callable(legal) else np.ones(legal, np.bool_)
 
 

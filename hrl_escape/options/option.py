@@ -245,7 +245,6 @@ def _make_table(values: Mapping[Any, Any] | Sequence[Any] | NDArray[Any]) -> dic
 
 
 def _make_key(state: Any) -> Any:
-    """Return a hashable key of a state."""
     if not isinstance(state, np.ndarray):
         return state
     array = cast("NDArray[Any]", state)

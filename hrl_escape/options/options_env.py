@@ -99,7 +99,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             state; see `hrl_escape.options.option_sets`.
         interruptible: return to the agent after every primitive of an option, with `ended="interrupted"`. Choosing the
             same option again continues it, and choosing another drops it. Every duration is then 1.
-        max_duration: primitives after which an option ends with `timeout`, or None for no limit.
+        max_duration: maximum primitives of an option, which then ends with `timeout`, or None for no limit.
         trace: add `rewards`, `trace` and `calls` to `info`, for intra-option learning.
         observation: `pass`, or `options` to append two numbers per option to a flat observation: 1 if it is legal, 1 if
             it is running (see `interruptible`).

@@ -69,7 +69,7 @@ def get_presser(goal: Goal, instance: RoomInstance) -> Presser:
 
 
 def find_headings(goal: Goal, state: RoomState, rules: Rules) -> NDArray[np.bool_] | None:
-    """Headings of a state's lattice that reach a goal, bool (headings,); None if every heading does."""
+    """Headings of a state's lattice that reach a goal, bool (headings,), or None if every heading does."""
     if not isinstance(goal, PoseGoal) or goal.heading is None:
         return None
     at = state._replace(x=goal.x, y=goal.y)

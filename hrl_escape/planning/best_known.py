@@ -127,7 +127,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         source: its origin, such as `dqn, seed 3`.
 
     Returns:
-        Whether it was better. It is kept while the state is among the last `MOST_REMEMBERED`.
+        True if it was better. It is kept while the state is among the last `MOST_REMEMBERED`.
     """
     dynamics = instance.dynamics
     if dynamics.is_random or dynamics.kind == "physics" or instance.puzzle.is_random:

@@ -1,4 +1,4 @@
-"""Goals of planners: frozen, hashable values, by which plans are cached.
+"""Goals of planners: frozen, hashable values that serve as keys of cached plans.
 
 A goal does not prescribe how it is reached. Positions are of the body's axis in the room frame, in m; headings are in
 rad, counter-clockwise from +x.
@@ -79,7 +79,7 @@ class GripGoal:
 
     Attributes:
         target: index of the target.
-        action: name of the primitive, or the side to which a move pushes the target.
+        action: name of the primitive, or the direction of the push.
     """
 
     target: int

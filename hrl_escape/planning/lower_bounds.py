@@ -3,10 +3,9 @@
 They hold because no primitive moves the body's axis farther than the longest of the action table, and no target moves:
 of a thing that has been put down or pushed elsewhere on a map, no way is counted. One primitive may press two targets
 that are close together. Bounds of legs add up as if the robot could leave a press at another place
-than it arrived at. In puzzles of few states an escape's legs are bounded jointly: each place from which a target can be
-pressed is cut into cells, and the fewest primitives to be in each cell after each press follow from those of the press
-before (dynamic programming over states of the puzzle, targets and cells). A cell holds more than one pose, so the bound
-stays one.
+than it arrived at. In puzzles of few states the legs of an escape are bounded jointly: the places to press a target
+from are divided into cells. Dynamic programming over puzzle states, targets and cells then bounds the primitives to
+each cell. A cell contains more than one pose, so the bound remains a bound.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class LegBounds:
         return arm + sliding + robot.hand_radius + margin
 
     def bound_start(self, state: RoomState, then: Operator | None) -> int:
-        """Bound the leg from a state to operator `then`; None is the exit."""
+        """Bound the leg from a state to operator `then`, or to the exit for None."""
         if then is not None and self.is_anywhere(then):
             return 1
         shape, reach = self.get_place(then)
@@ -84,7 +83,7 @@ class LegBounds:
         return areas
 
     def get_area(self, goal: Goal) -> tuple[Footprint, float]:
-        """Footprint of a goal, and the largest distance from it at which the body's axis can reach the goal, m."""
+        """Return the footprint of a goal, and the largest distance, m, of the body's axis that reaches it."""
         area = compute_goal_area(goal, self._instance)
         return area.footprint, self.reach if self._is_before(goal) or isinstance(goal, PressGoal) else area.reach
 
@@ -93,7 +92,7 @@ class LegBounds:
         return isinstance(goal, GripGoal) and isinstance(self._instance.puzzle, Mapped)
 
     def bound_goals(self, state: RoomState, goals: Sequence[Goal]) -> int:
-        """Bound the primitives that reach goals in order, none of which is reached yet, from a state."""
+        """Bound the primitives to reach goals in order, from a state before the first."""
         total, here = 0, None
         for goal, area in zip(goals, self.list_areas(state, goals), strict=True):
             own = int(self._is_before(goal))
@@ -116,7 +115,7 @@ class LegBounds:
         return total
 
     def bound_leg(self, last: Operator | None, then: Operator | None) -> int:
-        """Bound the leg from operator `last` to operator `then`; None is any start, or the exit."""
+        """Bound the leg from operator `last` to operator `then`; as `last`, None is any start, as `then` the exit."""
         key = (last and last.name, then and then.name)
         if key not in self._known:
             self._known[key] = self._compute_leg(last, then)
@@ -141,7 +140,7 @@ class LegBounds:
         return op.action == "push" or (op.action == "release" and isinstance(self._instance.puzzle, Mapped))
 
     def get_place(self, op: Operator | None) -> tuple[Footprint, float]:
-        """Footprint of an operator's target or of the exit, and how far from it the body's axis may be, m."""
+        """Return the footprint of an operator's target or of the exit, and the most distance of the body's axis, m."""
         if op is None:
             return self._exit, 0.0
         names = self._instance.puzzle.target_names
@@ -170,8 +169,8 @@ CELLS = 8
 def bound_escape(instance: RoomInstance, state: RoomState) -> float:
     """Fewest primitives of an escape that straight lines allow, over all orders of the puzzle's operators.
 
-    Infinity where there is no such order. Where a thing was put down elsewhere than in its first place, orders are not
-    looked at, and only the line to the exit counts.
+    Infinity without such an order. If a thing was put down elsewhere than in its first place, only the line to the
+    exit counts.
     """
     bounds = LegBounds(instance)
     if _has_moved_things(instance, state):

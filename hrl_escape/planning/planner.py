@@ -286,7 +286,7 @@ class RoomPlanner:
             The plan, with its predicted states.
 
         Raises:
-            PlanningFailed: there is no plan; its reason says why.
+            PlanningFailed: no plan was found; see its reason.
             StateError, GoalError: the room has no such state or goal.
             UnknownNameError: the text names nothing in this room.
         """
@@ -387,7 +387,7 @@ class RoomPlanner:
             The plan, with one part per leg.
 
         Raises:
-            PlanningFailed: there is no plan; its reason says why.
+            PlanningFailed: no plan was found; see its reason.
             UnsupportedError: the puzzle requires pushes, whose effect cannot be predicted; use `pursue`.
         """
         settings = self._choose_settings(method)
@@ -451,7 +451,7 @@ class RoomPlanner:
         """Return the goals of an escape from this state in the cheapest order, the exit last.
 
         Raises:
-            PlanningFailed: there is no escape; its reason says why.
+            PlanningFailed: no escape was found; see its reason.
         """
         self.routes.check_query(state)
         return self.orders.find_goals(state, Clock(self.routes.time_limit), self.routes.settings)
@@ -520,10 +520,10 @@ class RoomPlanner:
             count: maximum number of escapes.
             clock: time limit of the calling function, or None for the planner's own.
             settings: settings of each search, or None for the planner's own.
-            most_nodes: search nodes after which planning stops.
+            most_nodes: maximum number of search nodes.
 
         Raises:
-            PlanningFailed: there is no escape; its reason says why.
+            PlanningFailed: no escape was found; see its reason.
             UnsupportedError: the puzzle requires pushes.
         """
         clock, settings = clock or Clock(self.routes.time_limit), settings or self.routes.settings

@@ -83,7 +83,7 @@ class PlanningResult:
 
     Attributes:
         request: the request.
-        status: `"reached"`, or the reason why there is no plan.
+        status: `"reached"`, or the reason of a failure.
         plan: the best plan found, or None.
         cost: cost of the plan by the request's objective; infinity without a plan.
         lower_bound: lower bound of the cost of every plan.
@@ -91,7 +91,7 @@ class PlanningResult:
         spent: search nodes expanded; nodes of cached routes count again.
         seconds: wall time without compilation, s.
         cut_short: whether a time limit or a cancellation ended the call.
-        failure: the error that says why there is no plan, or None.
+        failure: the error that explains a missing plan, or None.
     """
 
     request: PlanningRequest

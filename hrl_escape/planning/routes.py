@@ -57,7 +57,7 @@ CAREFUL = 20_000
 """Search nodes for a route that avoids all blocks, before one that can move some."""
 
 DoorKey: TypeAlias = tuple[int, tuple[int, ...]]
-"""Bits of the inner doors that are shut, and numbers of those in whose cells a grip or push is possible."""
+"""Bits of the shut inner doors, and numbers of the doors with a cell where a grip or push is possible."""
 RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey | None], Pose]  # is the exit open?
 
 
@@ -74,7 +74,7 @@ class Routes:
             raise ConfigError("instance", instance, "a RoomInstance, as generate() and env.unwrapped.instance give")
         check_budget(budget)
         check_method(method)
-        Clock(time_limit)  # raises for a value that is no limit
+        Clock(time_limit)  # raises for an invalid limit
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
         self._quiet = make_planned_room(instance)
@@ -184,7 +184,7 @@ class Routes:
         is the planner's own limit. The default settings are the planner's own.
 
         Raises:
-            PlanningFailed: there is no route; failures are cached too.
+            PlanningFailed: no route was found; failures are cached, too.
             StateError, GoalError: an invalid state or goal.
         """
         began = read_clock()
@@ -322,7 +322,7 @@ class Routes:
 
     def _search_place(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                       ) -> Route | PlanningFailed:
-        """Return the shortest route to a place that faces a cell from which the goal can be reached."""
+        """Return the shortest route to a place that faces a cell where the goal can be reached."""
         for places in list_places(goal, state, self.rules):
             found = (self._search_route(state, place, clock, settings) for place in places)
             if routes := [route for route in found if isinstance(route, Route)]:
@@ -428,11 +428,11 @@ class DoorSearches:
         return self._searches[walls]
 
     def find_walls(self, state: RoomState) -> int:
-        """Bits of the shut inner doors, except those in which the body stands."""
+        """Bits of the shut inner doors, except doors that contain the body."""
         return self._doors.find_blocking(state.x, state.y, state.puzzle)
 
     def can_walk(self, state: RoomState, goal: GripGoal) -> bool:
-        """Return whether free cells lead to one from which the goal's thing is pushed.
+        """Return whether free cells lead to the cell behind the thing that the goal pushes.
 
         For goals other than pushes, the puzzle's own model accounts for what blocks the way.
         """
@@ -458,12 +458,12 @@ class DoorSearches:
                 for cell in self._room.inner_doors]
 
     def make_key(self, state: RoomState, goal: Goal) -> DoorKey:
-        """Cache key: everything about the inner doors on which a route to a goal depends."""
+        """Return the cache key of a route: the state of the inner doors that can change it."""
         return self.find_walls(state), list_cells(self._room, state, goal) if isinstance(goal, GripGoal) else ()
 
 
 def list_cells(room: RoomInstance, state: RoomState, goal: GripGoal) -> tuple[int, ...]:
-    """Numbers of the inner doors' cells in which a goal's action can be carried out now, on a map."""
+    """Numbers of the inner doors whose cells allow a goal's action now, on a map."""
     return get_mixin(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
 
 
@@ -478,10 +478,10 @@ def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:
 
 
 def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator[list[PoseGoal]]:
-    """List the places from which a grip, release, use or push is possible, cell by cell.
+    """List the places where a grip, release, use or push is possible, cell by cell.
 
-    There are four, or one behind a thing that is pushed. What is held may be put down in several cells: the nearest
-    ones come first.
+    A cell has four, or one behind a thing to push. What is held can be put down in several cells: the nearest come
+    first.
     """
     room, step = rules.instance, rules.actions.stride
     cells = [room.inner_doors[number] for number in list_cells(room, state, goal)]
@@ -495,7 +495,7 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
 
 
 def find_move(goal: GripGoal, state: RoomState, rules: Kinematics) -> int | None:
-    """Primitive that reaches a goal from its place; None if none does, such as at a wrong heading."""
+    """Primitive that reaches a goal from its place, or None if none does, such as at a wrong heading."""
     if not goal.action.startswith("push-"):
         return rules.actions.find(goal.action)
     moves = (move for move in rules.actions.translations

@@ -123,7 +123,7 @@ class Scene:
             The new scene.
 
         Raises:
-            UnknownNameError: nothing has this name.
+            UnknownNameError: no thing of the scene has this name.
             UnsupportedError: it is a target or the door, which belong to the puzzle.
             ConfigError: the floor would be open, a plate would have no block, or the puzzle would have no plate.
         """
@@ -153,7 +153,7 @@ class Scene:
             The new scene.
 
         Raises:
-            UnknownNameError: nothing has this name.
+            UnknownNameError: no thing of the scene has this name.
             UnsupportedError: it is the door.
             ConfigError: it would cover a start, a block would overlap a solid, or the floor would be open.
         """
@@ -180,7 +180,7 @@ class Scene:
             The new scene.
 
         Raises:
-            UnknownNameError: nothing has this name.
+            UnknownNameError: no thing of the scene has this name.
             UnsupportedError: it is not an obstacle, the robot has no arm, or the hand is full.
         """
         number = self._find_solid(name, "held")

@@ -58,7 +58,7 @@ class TaskMotionPlanner:
         """Return the primitives of each feasible leg, by (previous place, operator or `go-to-exit`).
 
         The previous place is `start` or an operator. The leg begins where this operator ends if it comes first,
-        otherwise where it ends after the first operator from which it can be reached.
+        otherwise where it ends after the first operator that can reach it.
 
         Args:
             state: first state.

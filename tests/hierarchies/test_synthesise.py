@@ -296,7 +296,7 @@ def test_what_cannot_be_synthesised_is_refused_in_words():
         make_env(TINY, low_level="plan")
     with pytest.raises(AgentSettingsError, match="hierarchy, which this agent takes"):
         train("maxq-q", make_env(TINY, "ham"), primitives=10)
-    with pytest.raises(AgentSettingsError, match="acts by no task hierarchy"):
+    with pytest.raises(AgentSettingsError, match="does not use a task hierarchy"):
         train("q-learning", make_env(TINY, "maxq"), primitives=10)
     env = HierarchyEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-random", resample_instance=True))
     with pytest.raises(UnsupportedError, match="train on one instance"):

@@ -92,5 +92,5 @@ def test_results_of_version_0_3_are_refused_for_their_labels(tmp_path: Path):
     store.add([LINE])
     store.path.write_text("".join(store.path.read_text().splitlines(keepends=True)[1:]))
     for call in (store.load, lambda: store.add([DIAL])):
-        with pytest.raises(FileReadError, match="may be of version 0.3"):
+        with pytest.raises(FileReadError, match="can be of version 0.3"):
             call()

@@ -6,7 +6,7 @@ import sys
 tried, lights, words = set(), None, []
 for line in sys.stdin:  # a line a decision; answer each with the number of a legal action
     look = json.loads(line)
-    if look["start"]:  # an episode begins, in a room that may be new
+    if look["start"]:  # an episode begins, in a room that can be new
         tried, lights, words = set(), None, look["words"]
     rows = [dict(zip(words, look["observation"][at:])) for at in range(0, len(look["mask"]) * len(words), len(words))]
     if [row["lit"] for row in rows] != lights:

@@ -51,7 +51,7 @@ class DQNSettings(AgentSettings):
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination."""
     clock: Literal["primitive", "decision"] = "primitive"
     """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
 
@@ -62,18 +62,18 @@ class DQNSettings(AgentSettings):
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
     """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     temperature: Annotated[float, Range(0, open_low=True)] = 1.0
     """Temperature of `boltzmann`, in units of return. More explores more."""
     boltzmann_clip: Annotated[float, Range(0)] = 0.0
     """Bound on the size of q / temperature in `boltzmann`, as in keras-rl 0.4.2; 0 sets none."""
     bonus: Literal["counts", "distillation"] = "counts"
-    """Novelty behind `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et
-    al. 2018)."""
+    """Novelty for `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et al.
+    2018)."""
     bonus_weight: Annotated[float, Range(0)] = 0.0
-    """Largest cost of reaching what is known, in units of return. More explores more; 0 turns novelty off."""
+    """Largest cost of reaching known states, in units of return. More explores more; 0 turns novelty off."""
     bonus_bins: Annotated[int, Range(2)] = 5
-    """Points to which a bounded component is rounded for counting. More make finer cells, each met less often."""
+    """Points to round a bounded component to for counting. More make finer cells with fewer visits each."""
 
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, for the
@@ -91,7 +91,7 @@ class DQNSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 in scaled rewards, or half the squared error, which follows outliers."""
 
@@ -106,7 +106,7 @@ class DQNSettings(AgentSettings):
     target_every: Annotated[int, Range(1)] = 200
     """Updates of the online network to one of the target network. Fewer follow faster and are less stable."""
     average_rate: Annotated[float, Range(0, 1)] = 0.005
-    """Share of the online network blended at each update into the average that the greedy policy follows; 0 keeps no
+    """Share of the online network blended at each update into the average that the greedy policy uses. 0 keeps no
     average."""
 
     replay_capacity: Annotated[int, Range(1)] = 50_000
@@ -121,10 +121,10 @@ class DQNSettings(AgentSettings):
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
     stream_replay: Annotated[int, Range(1)] = 128
-    """Least decisions of each of many environments, on average, for which replay has room."""
+    """Smallest replay capacity per environment with many environments, in decisions."""
     hindsight_goals: Annotated[int, Range(0)] = 0
-    """Goals achieved later in its episode with which a decision is stored again (Andrychowicz et al. 2017, who take
-    4). For environments with goals; 0 for none."""
+    """Number of goals achieved later in its episode that each decision is stored with again (4 in Andrychowicz et al.
+    2017). For environments with goals; 0 for none."""
 
 
 class DQN(ReplayAgent):
@@ -223,7 +223,7 @@ class ActionValues:
 
     Args:
         settings: of networks and targets, as `DQNSettings` has them.
-        network: a module of the user's own; None makes what the settings say.
+        network: a module of the user's own, or None for the network of the settings.
 
     Attributes:
         online: Q_theta, from encoded observations to scaled values of all actions.

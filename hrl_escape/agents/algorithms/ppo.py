@@ -55,7 +55,7 @@ class PPOSettings(AgentSettings):
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma."""
     bootstrap_on_truncation: bool = True
-    """Value the state in which an episode was truncated. False treats a truncation as a termination."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination."""
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
     """Lambda of generalised advantage estimation. 1 has the most variance, and no bias from the critic."""
     lambda_per: Literal["decision", "primitive"] = "decision"
@@ -107,22 +107,22 @@ class PPOSettings(AgentSettings):
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; 1e-7 in Keras."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
 
     bonus: Literal["counts", "distillation"] = "counts"
-    """Novelty behind `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et
-    al. 2018)."""
+    """Novelty for `bonus_weight`: visits of a cell, or the error of a network that predicts a random one (Burda et al.
+    2018)."""
     bonus_weight: Annotated[float, Range(0)] = 0.0
-    """Largest cost of reaching what is known, in units of return. More explores more; 0 turns novelty off."""
+    """Largest cost of reaching known states, in units of return. More explores more; 0 turns novelty off."""
     bonus_bins: Annotated[int, Range(2)] = 5
-    """Points to which a bounded component is rounded for counting. More make finer cells, each met less often."""
+    """Points to round a bounded component to for counting. More make finer cells with fewer visits each."""
 
 
 class PPO(BatchAgent):
     """Proximal policy optimisation; the equation is in the module's text.
 
-    The policy itself is random, so there is no schedule of exploration. A decision that outlasts the rollout in which
-    it was made counts in the next one, with the probability that it was made with.
+    The policy is stochastic and needs no schedule of exploration. A decision that outlasts the rollout of its choice
+    counts in the next one, with its probability at the choice.
 
     Attributes:
         policy: logits of the actions.
@@ -159,7 +159,7 @@ class PPO(BatchAgent):
         self.rollout = RolloutBuffer(self._arrays, num_envs)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin episodes; where there are as many as before, those of the present rollout count as truncated."""
+        """Begin episodes; with as many environments as before, episodes of the present rollout count as truncated."""
         if self.place == (num_envs, device):
             self.rollout.truncate()
             self._recollections.begin_episodes()

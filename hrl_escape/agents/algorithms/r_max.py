@@ -42,7 +42,8 @@ class RMaxSettings(AgentSettings):
     """m, samples that make a pair of state and action known. 1 is enough for deterministic outcomes; more are needed
     under noise."""
     optimistic_value: float = 100.0
-    """Value of an unknown pair, in units of return. No true value may be higher; higher values explore more."""
+    """Value of an unknown pair, in units of return. It must bound all true values from above; higher values explore
+    more."""
     states: Literal["factors", "cells"] = "factors"
     """`factors`: a state is its discrete components, in a room the puzzle's bits, without the pose. `cells`: all
     components, rounded by `bins` and `resolution`."""
@@ -153,8 +154,8 @@ class RMax(SwitchingAgent):
     def _solve(self, values: NDArray[np.float64], unknown: float | None) -> NDArray[np.float64]:
         """Value iteration over the visited states, (states,), from earlier values, possibly of fewer states.
 
-        `unknown` is the value of unknown pairs; None leaves them out. A state without any remaining pair gets the value
-        of staying there forever.
+        `unknown` is the value of unknown pairs, or None to leave them out. A state without any remaining pair gets the
+        value of staying there forever.
         """
         states = len(self._legal)
         counts, legal = np.array(self._counts), np.array(self._legal)

@@ -32,7 +32,7 @@ class SarsaSettings(AgentSettings):
 
     expected: bool = True
     """Value s' by its expectation over the policy. False values it by one action drawn from the policy, which is also
-    the next action if there is no replay."""
+    the next action without replay."""
     late_terminal: bool = False
     """Repeat a mistake of keras-rl 0.4.2: the agent receives the flag of the end one decision early. The second to last
     decision is valued as terminal, and the last bootstraps even from a terminal state. Requires `replay_capacity=0`."""

@@ -2,8 +2,8 @@
 
 The option is drawn from pi(o | s, o-) = (1 - beta_o-(s)) [o = o-] + beta_o-(s) pi_Omega(o | s), where o- ran before,
 and in an episode's first state from pi_Omega. Each of many environments runs its own option. A decision is stored with
-the probabilities of its option and action. One that outlasts its rollout counts in the next, after the networks have
-changed.
+the probabilities of its option and action. A decision that outlasts its rollout counts in the next, after the networks
+have changed.
 """
 
 from __future__ import annotations
@@ -49,28 +49,28 @@ SMALLEST = 1e-12
 class OptionChoices(NamedTuple):
     """Options of the decisions of a rollout."""
 
-    option: Tensor  # int64 (n,), that ran
-    former: Tensor  # int64 (n,), that ran before it; `NONE` at an episode's first decision
-    is_chosen: Tensor  # bool (n,), the former had ended, or there was none
+    option: Tensor  # int64 (n,), the running option
+    former: Tensor  # int64 (n,), the option before it; `NONE` at an episode's first decision
+    is_chosen: Tensor  # bool (n,), true if the former option had ended, or at the first decision
     log_probability: Tensor | None = None
-    """Float32 (n,), of the option that ran, as it was drawn; None where the networks are still those that drew."""
+    """Float32 (n,), of the running option when it was drawn, or None if the networks are unchanged since."""
 
 
 def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
-    """pi(o | s, the option before), from beta and pi_Omega, all (n, options); with one option it is 1 to the bit."""
+    """Return pi(o | s, former option) from beta and pi_Omega, all (n, options); exactly 1 with one option."""
     kept = torch.nn.functional.one_hot(former.clamp(min=0), choice.shape[1]).to(choice.dtype)
     ends = beta.gather(1, former.clamp(min=0)[:, None]).masked_fill((former == NONE)[:, None], 1.0)
     return torch.where(ends == 1.0, choice, kept + ends * (choice - kept))
 
 
 def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:
-    """Sum over options of choice x Q(s, o), (n,) from (n, options); exact where one option has all of the choice."""
+    """Return the sum over options of choice x Q(s, o), (n,) from (n, options); exact for a certain choice."""
     base = take_column(values, former.clamp(min=0))
     return base + (choice * (values - base[:, None])).sum(dim=1)
 
 
 class OpenOptions(Stateful):
-    """The option that runs in each of many environments, how it was chosen, and how many decisions it has made."""
+    """The running option of each of many environments, its choice, and its number of decisions."""
 
     STATE = ("_option", "_former", "_is_chosen", "_log_probability", "_decisions", "_generator")
 
@@ -80,15 +80,15 @@ class OpenOptions(Stateful):
         self._is_chosen = torch.ones(num_envs, dtype=torch.bool, device=device)
         self._log_probability = torch.zeros(num_envs, device=device)
         self._decisions = torch.zeros(num_envs, dtype=torch.int64, device=device)
-        self._over: list[Tensor] = []  # runs that are over: option and decisions, (2, n) each
+        self._over: list[Tensor] = []  # finished runs: option and decisions, (2, n) each
 
     def draw(self, env: Tensor, betas: Tensor, choice: Tensor) -> Tensor:
-        """Draw whether the options of some environments end, and the next ones; of a new episode, the first.
+        """Sample terminations of the options of some environments, and the next options; in a new episode, the first.
 
         Args:
             env: int64 (n,).
             betas: terminations of all options at the states, (n, options).
-            choice: the policy over options there, (n, options).
+            choice: policy over options at the states, (n, options).
 
         Returns:
             Options, int64 (n,).
@@ -104,11 +104,11 @@ class OpenOptions(Stateful):
         return option
 
     def get_running(self, env: Tensor) -> Tensor:
-        """Options that run in some environments, int64 (n,)."""
+        """Return the running options of some environments, int64 (n,)."""
         return self._option[env]
 
     def end(self, env: Tensor, over: Tensor) -> OptionChoices:
-        """Options of decisions that ended, int64 (n,); where the episode is `over` too, bool (n,), none goes on."""
+        """Return the options of decisions that ended, int64 (n,), and drop options where `over`, bool (n,), is set."""
         choices = OptionChoices(self._option[env], self._former[env], self._is_chosen[env], self._log_probability[env])
         self._decisions[env] += 1
         self._finish(env[over])
@@ -127,17 +127,17 @@ class OpenOptions(Stateful):
             log.add(option, decisions)
 
     def begin_episodes(self) -> None:
-        """Drop the options that run: every environment begins an episode."""
+        """Drop running options: every environment begins an episode."""
         self._option.fill_(NONE)
         self._decisions.zero_()
 
     def after_load(self) -> None:
-        """Drop the runs that are over: the log had them before the state was saved."""
+        """Drop finished runs: they were logged before the state was saved."""
         self._over = []
 
 
 class OptionRollout(Stateful):
-    """Decisions of many environments that are collected for the next updates, and the draws of their actions.
+    """Decisions of many environments for the next updates, and the generator of their actions.
 
     Attributes:
         generator: on the device, for the draws of actions.
@@ -156,7 +156,7 @@ class OptionRollout(Stateful):
         return self._count
 
     def note_choice(self, env: Tensor, log_probability: Tensor) -> None:
-        """Note the log probabilities, (n,), of the actions that were just chosen in some environments, int64 (n,)."""
+        """Store log probabilities, (n,), of the latest actions in some environments, int64 (n,)."""
         self._log_probability[env] = log_probability
 
     def add(self, batch: Decisions, choices: OptionChoices, encoder: ObservationEncoder, settings: Any) -> None:
@@ -172,13 +172,13 @@ class OptionRollout(Stateful):
         self._count += len(env)
 
     def gather(self) -> tuple[Rollout, OptionChoices]:
-        """Return everything that was collected."""
+        """Return the collected decisions."""
         rollouts, choices = zip(*self._parts, strict=True)
         return (Rollout(*map(torch.cat, zip(*rollouts, strict=True))),
                 OptionChoices(*map(torch.cat, zip(*choices, strict=True))))
 
     def take(self) -> tuple[Rollout, OptionChoices]:
-        """Return everything that was collected, and begin the next rollout."""
+        """Return the collected decisions, and begin the next rollout."""
         taken = self.gather()
         self._parts, self._count = [], 0
         self._place.zero_()
@@ -193,7 +193,7 @@ class OptionRollout(Stateful):
 
     @property
     def _rows(self) -> StateTree | None:
-        """Fields of what was collected; None where that is nothing."""
+        """Fields of the collected decisions, or None without any."""
         return {"rollout": self.gather()[0]._asdict(), "own": self.gather()[1]._asdict()} if self._count else None
 
     @_rows.setter
@@ -209,8 +209,8 @@ class OptionHeads:
     """Networks of a fixed number of options over encoded observations, and their optimiser.
 
     Args:
-        settings: of the agent: those of networks, `options`, and `initial_termination` where options end.
-        trained: names of the networks that are learned with `learning_rate`; empty for all.
+        settings: of the agent: its networks, `options`, and `initial_termination` if options end.
+        trained: names of the networks with the step size `learning_rate`; empty for all.
 
     Attributes:
         networks: by name. `policy`: logits of every option's policy, (options x actions). `critic`: Q(s, o) in scaled
@@ -234,13 +234,13 @@ class OptionHeads:
 
     @property
     def _shift(self) -> float:
-        """Number added to the outputs of the network of terminations, so that 0 there is `initial_termination`."""
+        """Offset of the outputs of the network of terminations: an output of 0 means `initial_termination`."""
         return math.log(self.settings.initial_termination / (1 - self.settings.initial_termination))
 
-    # --- of one observation ---------------------------------------------------------------
+    # --- one observation ------------------------------------------------------------------
 
     def compute(self, network: str, observation: Any) -> NDArray[np.float64]:
-        """Outputs of a network for one observation."""
+        """Return the outputs of a network for one observation."""
         return self.networks[network].compute(self._encoder.encode(observation)).astype(np.float64)
 
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
@@ -253,38 +253,38 @@ class OptionHeads:
         return 1 / (1 + np.exp(-self.compute("ending", observation) - self._shift))
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
-        """pi_Omega(o | s), float64 (options,)."""
+        """Return pi_Omega(o | s), float64 (options,)."""
         return compute_softmax(self.compute("chooser", observation))
 
     def compute_option_values(self, observation: Any) -> NDArray[np.float64]:
-        """Q(s, .) of options, in units of return, float64 (options,)."""
+        """Return Q(s, .) of options, in units of return, float64 (options,)."""
         return self.compute("critic", observation) / self.settings.reward_scale
 
-    # --- of many, on their device ---------------------------------------------------------
+    # --- many observations, on their device -----------------------------------------------
 
     def compute_log_policies(self, observation: Tensor, option: Tensor, mask: Tensor) -> Tensor:
-        """Log probabilities of the actions of one option a row, (n, actions)."""
+        """Return log probabilities of actions, for one option per row, (n, actions)."""
         logits = self.policy(observation).view(len(option), self.options, self.actions)
         return compute_log_policy(logits[torch.arange(len(option), device=option.device), option], mask)
 
     def compute_betas(self, observation: Tensor) -> Tensor:
-        """beta_o(s) of all options, (n, options)."""
+        """Return beta_o(s) of all options, (n, options)."""
         return torch.sigmoid(self.networks["ending"](observation) + self._shift)
 
     def compute_option_choice(self, observation: Tensor, former: Tensor) -> Tensor:
-        """pi(o | s, the option before), (n, options)."""
+        """Return pi(o | s, former option), (n, options)."""
         return mix_with_former(self.compute_betas(observation), self.compute_fresh_choice(observation), former)
 
     def compute_fresh_choice(self, observation: Tensor) -> Tensor:
-        """pi_Omega(o | s), (n, options)."""
+        """Return pi_Omega(o | s), (n, options)."""
         return torch.softmax(self.networks["chooser"](observation), dim=1)
 
     # --- learning ---------------------------------------------------------------------------
 
     def compute_next_values(self, rollout: Rollout, choices: OptionChoices) -> tuple[Tensor, Tensor]:
-        """Values of the states reached, (n,) each: of the option that ran next, and before that one was drawn.
+        """Return the values of next states, (n,) each: of the next option, and before that option was drawn.
 
-        Where none ran next in the rollout, because the episode was cut or the rollout ended, both are the latter.
+        Without a next option, because the episode was cut or the rollout ended, both are the latter.
         """
         values = self.critic(rollout.next_observation)
         mean = mix_values(self.compute_option_choice(rollout.next_observation, choices.option), values, choices.option)
@@ -292,7 +292,7 @@ class OptionHeads:
         return torch.where(goes_on, take_column(values, choices.option[after]), mean), mean
 
     def compute_advantages(self, rollout: Rollout, choices: OptionChoices, values: Tensor, cost: float) -> Tensor:
-        """Advantages of actions within options, (n,); ending an option costs `cost`, in scaled return, upon arrival."""
+        """Return advantages of actions within options, (n,); ending an option costs `cost`, in scaled return."""
         next_values, _ = self.compute_next_values(rollout, choices)
         betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
         after, goes_on = find_next(rollout)
@@ -300,10 +300,10 @@ class OptionHeads:
         return compute_advantages(rollout, values, next_values - cost * ends, self.settings)
 
     def compute_termination_loss(self, reached: Tensor, goes_on: Tensor, option: Tensor, margin: float) -> Tensor:
-        """Mean of beta_o(s') (Q(s', o) - V(s') + margin) over decisions, 0 where the task ended, ().
+        """Return the mean of beta_o(s') (Q(s', o) - V(s') + margin) over decisions, 0 where the task ended, ().
 
-        `reached` are the states s', encoded, (n, ...), at which the task goes on or not, bool (n,); the margin is in
-        scaled return.
+        `reached` are the states s', encoded, (n, ...), with a flag whether the task continues, bool (n,); the margin is
+        in scaled return.
 
         V(s') is the mean of Q(s', .) over the policy over options, and only beta has a gradient.
         """
@@ -313,7 +313,7 @@ class OptionHeads:
         return (take_column(self.compute_betas(reached), option) * (worse + margin) * goes_on).mean()
 
     def compute_old_log_probability(self, rollout: Rollout, choices: OptionChoices) -> Tensor:
-        """Log probability of each action when it was chosen, (n,); while the networks are those that chose."""
+        """Return the log probability of each action at its choice, (n,); call it before the first update."""
         if choices.log_probability is not None:
             return rollout.log_probability
         return take_column(self.compute_log_policies(rollout.observation, choices.option, rollout.mask),
@@ -321,9 +321,9 @@ class OptionHeads:
 
     def compute_option_loss(self, observation: Tensor, mask: Tensor, option: Tensor, action: Tensor,
                             old_log_probability: Tensor, advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
-        """PPO's loss of actions within options over a minibatch, and its parts.
+        """Return PPO's loss of actions within options over a minibatch, and its parts.
 
-        Observations are encoded, (n, ...), the mask is bool (n, actions), all others are (n,); the target is that of
+        Observations are encoded, (n, ...), the mask is bool (n, actions), all others are (n,); the target is for
         Q(s, o).
         """
         log_policy = self.compute_log_policies(observation, option, mask)
@@ -336,14 +336,14 @@ class OptionHeads:
 
 
 class OptionRolloutAgent(BatchAgent, OptionAgent):
-    """Base of agents that learn options over networks from rollouts, with `stream_rollout` among the settings.
+    """Base of agents that learn options with networks from rollouts, with `stream_rollout` among the settings.
 
-    One environment has options and rows in NumPy, many have them in `OptionRollout` and `OpenOptions`.
+    Options and rows are NumPy arrays with one environment, and in `OptionRollout` and `OpenOptions` with many.
     """
 
     Heads: ClassVar[type[OptionHeads]] = OptionHeads
     trained: ClassVar[tuple[str, ...]] = ()
-    """Networks that are learned with `learning_rate`; empty for all."""
+    """Networks with the step size `learning_rate`; empty for all."""
     settings: Any
     is_markov: bool = False
     STATE = (Kept("_kept_rollout", "rollout", unpack=dict), Kept("_kept_choices", "choices", unpack=dict), "log",
@@ -378,18 +378,18 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
         return self.heads.compute_terminations(observation)
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the policy of the likeliest option at an observation, before any mask, (actions,)."""
+        """Return the logits of the most probable option's policy at an observation, unmasked, (actions,)."""
         option = int(self.heads.compute_option_policy(observation).argmax())
         return self.heads.compute("policy", observation).reshape(self.options, -1)[option]
 
     def compute_state_value(self, observation: Any) -> float:
-        """Mean of Q(s, o) over the policy over options, in units of return."""
+        """Return the mean of Q(s, o) over the policy over options, in units of return."""
         return float(self.heads.compute_option_policy(observation) @ self.heads.compute_option_values(observation))
 
     # --- acting -------------------------------------------------------------------------
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin an episode in every environment; in as many as before, the rollout is truncated and goes on."""
+        """Begin an episode in every environment; with as many as before, the rollout is truncated and continues."""
         self._option, self._decisions = NONE, 0
         if self.place == (num_envs, device):
             if self._many is not None:
@@ -405,7 +405,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
                                                   OpenOptions(num_envs, device, self._many_option_rng))
 
     def act(self, batch: Moments) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride] - as in `BatchAgent`
-        """Draw from the running options' policies; a first option is drawn in a new episode. Returns int64 (n,)."""
+        """Sample actions from the running options' policies, int64 (n,); a new episode first samples an option."""
         if self._many is None:
             return np.array((self._act_one(batch.observation[0], batch.action_mask[0]),))
         seen = self._encoder.encode_many(batch.observation)
@@ -428,7 +428,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
         self._option, self._decisions = sample_index(self.heads.compute_option_policy(observation), self._option_rng), 0
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest action of an option: the likeliest one, given that which ran in `rng`'s evaluation."""
+        """Return the most probable action of the most probable option, given the former one in `rng`'s evaluation."""
         choice, decisions = self.heads.compute_option_policy(observation), 0
         if (known := self.recall(rng)) is not None:
             running, decisions = known
@@ -474,7 +474,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
         return metrics
 
     def _go_on(self, observation: Any, over: bool) -> None:
-        """Draw whether the option ends, and the next."""
+        """Sample the termination of the option, and the next option."""
         if over:
             self.log.add(self._option, self._decisions)
             self._option, self._decisions = NONE, 0
@@ -485,11 +485,11 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
             self._former, self._is_chosen = self._option, False
 
     def _gather(self) -> tuple[Rollout, OptionChoices]:
-        """Everything that was collected in one environment."""
+        """Return the collected decisions of one environment."""
         return stack_decisions(self._rows, 0), OptionChoices(*map(torch.tensor, zip(*self._choices, strict=True)))
 
     def _draw_batches(self, units: int, collected: int) -> Iterator[Tensor]:
-        """Minibatches of rows, as many as of `rollout` decisions; none of one row, which has no deviation."""
+        """Yield as many minibatches as for `rollout` decisions, without single rows, which have no deviation."""
         size = self.settings.batch_size
         size = max(size, collected * size // self.settings.rollout)
         batches = draw_minibatches(self._batch_rng, units, size, self.settings.epochs)
@@ -497,7 +497,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
 
     @abstractmethod
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
-        """The updates from a rollout, while the networks are still those that chose; returns numbers to log."""
+        """Make the updates from a rollout, before any other change of the networks; return numbers to log."""
 
     def move(self, device: torch.device) -> None:
         """Move networks and optimisers to a device."""
@@ -524,7 +524,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
 
     @property
     def _kept_option(self) -> list[int]:
-        """Option that runs, that before it, whether it was chosen, and the decisions it has made."""
+        """Running option, former option, whether it was chosen, and its number of decisions."""
         return [self._option, self._former, int(self._is_chosen), self._decisions]
 
     @_kept_option.setter
@@ -538,11 +538,11 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
         super().load_state_dict(state)
 
     def state_dict(self) -> StateTree:
-        """Everything that `STATE` names, after the runs of options that are over are logged."""
+        """Return the state in `STATE`, after logging finished runs of options."""
         if self._many is not None:
             self._many[1].report(self.log)
         return super().state_dict()
 
     def list_running(self) -> dict[str, Stateful]:
-        """Parts of the state that belong to many environments, by their names in a checkpoint."""
+        """Return parts of the state for many environments, by their names in a checkpoint."""
         return {} if self._many is None else dict(zip(("rollout", "options"), self._many, strict=True))

@@ -1,10 +1,9 @@
 """Replay of SMDP backups: a ring of decisions, drawn as backups of n decisions, and the schedule of updates.
 
-The ring stores the backup (R, b) of each decision, target R + b V(s'), so that duration, discount and termination
-cannot be lost or applied twice (see `agent.compute_backup`). Decisions that follow each other in one environment are
-linked, and joined when they are drawn. The ring holds NumPy arrays of one environment, or tensors of many on their
-device. With NumPy it samples several times faster than TorchRL's ReplayBuffer over LazyTensorStorage
-(`python -m benchmarks.agents`).
+The ring stores the backup (R, b) of each decision, with the target R + b V(s'), which contains duration, discount and
+termination once (see `agent.compute_backup`). Consecutive decisions of one environment are linked, and joined when they
+are drawn. The ring holds NumPy arrays of one environment, or tensors of many on their device. With NumPy it samples
+several times faster than TorchRL's ReplayBuffer over LazyTensorStorage (`python -m benchmarks.agents`).
 
 `ReplayAgent` is the base of agents that learn by updates from replay. Where many updates are due after a step of
 many environments, minibatches grow instead, so that every decision is learned from as often as in one environment.
@@ -38,13 +37,13 @@ class Experience(NamedTuple):
     mask: Any  # bool (batch, actions), legal there
     action: Any  # int64 (batch,), or float32 (batch, actions) for relaxed actions
     reward: Any  # float32 (batch,), R
-    bootstrap: Any  # float32 (batch,), b: gamma^k, or 0 where nothing follows
+    bootstrap: Any  # float32 (batch,), b: gamma^k, or 0 after a termination
     next_observation: Any  # (batch, *observation shape)
     next_mask: Any  # bool (batch, actions), legal at the next observation
 
 
 class UpdateSchedule(Stateful):
-    """Clock of an agent with replay, in `steps`, and the updates due on it: `rate` a step after the warm-up."""
+    """Clock of an agent with replay, in `steps`, and its updates: `rate` per step after the warm-up."""
 
     STATE = ("steps", "_due")
 
@@ -54,11 +53,11 @@ class UpdateSchedule(Stateful):
 
     @property
     def is_warm(self) -> bool:
-        """True once updates may be made."""
+        """True after the warm-up."""
         return self.steps > self._warmup
 
     def advance(self, steps: int, stored: int) -> int:
-        """Count steps of the clock; returns how many updates are due, none while nothing is `stored`."""
+        """Count steps of the clock and return the number of due updates, 0 without `stored` decisions."""
         self.steps += steps
         if not (self.is_warm and stored):
             return 0
@@ -71,22 +70,22 @@ class UpdateSchedule(Stateful):
 class Replay(Stateful):
     """The last `capacity` decisions, drawn uniformly with replacement as backups of n decisions.
 
-    A drawn decision is joined with those that followed it in its environment, up to `n_step` of them, to the episode's
+    A drawn decision is joined with the next decisions of its environment, up to `n_step` in total, to the episode's
     end or to the newest: (R1, b1) then (R2, b2) is (R1 + b1 R2, b1 b2). Thus each contributes its own gamma^k (Sutton,
     Precup and Singh 1999).
 
     Args:
         arrays: library of the ring, and generator of the draws.
-        capacity: decisions that it holds.
+        capacity: maximum number of decisions.
         observation_shape: of an encoded observation.
         observation_dtype: of an encoded observation.
         actions: number of actions.
         action_shape: () where an action is an index, (actions,) where it is relaxed.
         n_step: decisions joined into one backup.
-        num_envs: environments that decisions come from.
+        num_envs: number of environments.
 
     Attributes:
-        added: decisions that were added so far.
+        added: number of decisions added so far.
     """
 
     def __init__(self, arrays: Arrays, capacity: int, observation_shape: tuple[int, ...],
@@ -105,11 +104,11 @@ class Replay(Stateful):
         return min(self.added, self.capacity)
 
     def add(self, experience: Experience, env: Any = None, over: Any = None) -> None:
-        """Store backups of one decision, (n, ...), over the oldest when full; of more than fit, the last.
+        """Store backups of one decision, (n, ...), and drop the oldest when full.
 
         Args:
             experience: the backups.
-            env: environment of each, int64 (n,); None for backups that nothing is joined to.
+            env: environment of each, int64 (n,), or None for backups that are never joined.
             over: bool (n,), where the episode ended.
         """
         count, capacity = len(experience.reward), self.capacity
@@ -126,7 +125,7 @@ class Replay(Stateful):
         self.added += count
 
     def _link(self, env: Any, over: Any, count: int) -> None:
-        """Link the decisions that `add` stores with those before them in their environments."""
+        """Link the decisions that `add` stores with the preceding ones in their environments."""
         oldest = max(self.added + count - self.capacity, 0)
         if count == 1:  # a fifth of the time of the form for many rows
             before = int(self._latest[env[0]])
@@ -141,7 +140,7 @@ class Replay(Stateful):
         self._latest[env] = self._arrays.library.where(over, -1, number)
 
     def begin_episodes(self) -> None:
-        """Begin an episode in every environment: what comes next is joined to nothing before."""
+        """Begin an episode in every environment: later decisions are not joined to earlier ones."""
         self._latest[:] = -1
 
     def sample(self, batch: int) -> Experience:
@@ -149,7 +148,7 @@ class Replay(Stateful):
         return self.take(self._arrays.draw_numbers(len(self), batch))
 
     def take(self, rows: Any) -> Experience:
-        """Backups of n decisions that begin in some rows, int64 (batch,)."""
+        """Return backups of n decisions that begin in some rows, int64 (batch,)."""
         fields, take, where = self._fields, self._arrays.take, self._arrays.library.where
         reward, bootstrap, last = take(fields.reward, rows), take(fields.bootstrap, rows), rows
         for _ in range(self.n_step - 1):
@@ -162,13 +161,13 @@ class Replay(Stateful):
                           bootstrap, take(fields.next_observation, last), take(fields.next_mask, last))
 
     def state_dict(self) -> StateTree:
-        """The filled rows, how they follow each other, and the counter."""
+        """Return the filled rows, their links and the counter."""
         rows = {name: read_value(field[: len(self)], name) for name, field in self._fields._asdict().items()}
         return {"added": self.added, "next": read_value(self._next[: len(self)], "next"),
                 "latest": read_value(self._latest, "latest"), **rows}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`; `CheckpointError` if it has another capacity or other spaces."""
+        """Restore the result of `state_dict`; raises `CheckpointError` for another capacity or other spaces."""
         self.added = int(state["added"])
         own = {**self._fields._asdict(), "next": self._next}
         for name, field in own.items():
@@ -183,10 +182,10 @@ class Replay(Stateful):
 
 
 class Priorities(Stateful):
-    """Rows of a ring drawn in proportion to their latest loss to a power (Schaul et al. 2016, section 3.3).
+    """Priorities of rows: draws are proportional to a power of the latest loss (Schaul et al. 2016, section 3.3).
 
-    New rows have the largest priority so far. The sums are taken anew for every draw: of 50,000 rows that takes 0.1 ms,
-    less than a tree of sums in Python.
+    New rows have the largest priority so far. The sums are computed again for every draw: for 50,000 rows that takes
+    0.1 ms, less than a tree of sums in Python.
     """
 
     STATE = ("_powers", "_largest", "_seen")
@@ -198,7 +197,7 @@ class Priorities(Stateful):
 
     def draw(self, ring: Replay, batch: int, importance: float, rng: np.random.Generator
              ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Rows, int64 (batch,), and their weights (N P)^-importance over the largest of them, float32 (batch,)."""
+        """Draw rows, int64 (batch,), with weights (N P)^-importance over their maximum, float32 (batch,)."""
         self._powers = np.pad(self._powers, (0, len(ring) - len(self._powers)))
         self._powers[np.arange(max(self._seen, ring.added - ring.capacity), ring.added) % ring.capacity] = self._largest
         self._seen = ring.added
@@ -208,7 +207,7 @@ class Priorities(Stateful):
         return rows, (weights / weights.max()).astype(np.float32)
 
     def set(self, rows: NDArray[np.int64], losses: NDArray) -> None:
-        """Note the latest losses of some rows, each 0 or more."""
+        """Set the latest losses of some rows, each 0 or more."""
         self._powers[rows] = (losses + 1e-6) ** self._exponent
         self._largest = max(self._largest, float(self._powers[rows].max()))
 
@@ -227,7 +226,7 @@ class ReplayAgent(BatchAgent):
         relaxed: replay holds a vector in place of the action's index.
 
     Attributes:
-        replay: decisions of the environments in which the agent acts.
+        replay: decisions of the agent's environments.
     """
 
     settings: Any
@@ -255,7 +254,7 @@ class ReplayAgent(BatchAgent):
                              self._n_step, num_envs)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin an episode in every environment; replay stays where there are as many as before."""
+        """Begin an episode in every environment; replay is kept if their number is unchanged."""
         if self.place == (num_envs, device):
             self.replay.begin_episodes()
             return
@@ -268,10 +267,10 @@ class ReplayAgent(BatchAgent):
 
     @abstractmethod
     def update(self, batch: Experience) -> Mapping[str, float]:
-        """One gradient step on a batch of arrays or tensors; returns numbers to log."""
+        """Make one gradient step on a batch of arrays or tensors; return numbers to log."""
 
     def make_experience(self, batch: Decisions, bonus: Any = 0.0) -> Experience:
-        """Backups of decisions, in scaled rewards; `bonus`, (n,) in units of return, is added to their rewards."""
+        """Compute backups of decisions, in scaled rewards, with a `bonus`, (n,), in units of return."""
         reward, bootstrap = compute_backup(batch, self.settings)
         return Experience(
             self._encoder.encode_batch(batch.observation), batch.action_mask, batch.action,
@@ -279,7 +278,7 @@ class ReplayAgent(BatchAgent):
             self._encoder.encode_batch(batch.next_observation), batch.next_action_mask)
 
     def make_due_updates(self, duration: Any) -> dict[str, float]:
-        """Advance the clock by decisions of some primitives, int64 (n,), and make the updates that are due.
+        """Advance the clock by decisions of some primitives, int64 (n,), and make the due updates.
 
         Returns numbers to log.
         """
@@ -297,5 +296,5 @@ class ReplayAgent(BatchAgent):
         return self.replay.sample(size)
 
     def list_running(self) -> dict[str, Stateful]:
-        """Parts of the state that belong to the present environments, by their names in a checkpoint."""
+        """Return parts of the state for the present environments, by their names in a checkpoint."""
         return {"replay": self.replay, "draws": self._arrays}

@@ -1,4 +1,4 @@
-"""Rollouts of one environment as rows, which are stacked as tensors before an update."""
+"""Rollouts of one environment as rows, to stack as tensors before an update."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hrl_escape.agents.components.policy_gradient import Rollout
 
 def keep_decision(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, memory: NDArray[np.float32],
                   bonus: float = 0.0) -> tuple:
-    """A decision of one environment as `stack_decisions` takes it, with what was remembered before it.
+    """Convert a decision of one environment to a row for `stack_decisions`, with the memory before it.
 
     Rewards are scaled; the bonus is in units of return.
     """
@@ -27,7 +27,7 @@ def keep_decision(transition: SMDPTransition, encoder: ObservationEncoder, setti
 
 
 def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
-    """Decisions of one environment in order, from `keep_decision`, as a rollout, the first at the place `first`."""
+    """Stack rows of `keep_decision`, in order, as a rollout of one environment, the first at the place `first`."""
     dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)
     fields = [torch.from_numpy(np.array(field, dtype))
               for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
@@ -38,6 +38,6 @@ def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
 
 
 def unstack_decisions(fields: Mapping[str, Any]) -> list[tuple]:
-    """The rows that `stack_decisions` took, of the fields of its result by name."""
+    """Return the rows of a result of `stack_decisions`, from its fields by name."""
     names = ("observation", "mask", "action", "reward", "bootstrap", "duration", "over", "next_observation", "memory")
     return list(zip(*(np.asarray(fields[name]) for name in names), strict=True))

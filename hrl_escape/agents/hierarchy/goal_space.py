@@ -1,8 +1,8 @@
 """Goals as the interface between levels: by number alone, with a manager and a worker, or as points.
 
-What a goal is, and whether it is reached, is read from the observation. A goal space projects an observation onto a
-point. A goal is a point to be at or, where goals are relative, a displacement still to be made (Nachum et al. 2018). A
-NaN in a goal stands for a component that does not matter.
+Goals are defined on observations. A goal space projects an observation onto a point. A goal is a point to be at or,
+where goals are relative, a displacement still to be made (Nachum et al. 2018). A NaN in a goal marks a component that
+does not matter.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 class GoalView:
     """Part of an observation that a level sees."""
 
-    space: gymnasium.Space  # of what it sees
+    space: gymnasium.Space  # of this part
     see: Callable[[Any], Any]  # observation -> that part
 
 
 class ViewTask(BaseTask):
-    """A task that sees a part of the observation, or all of it without a view."""
+    """A task with a part of the observation as its input, or all of it without a view."""
 
     def __init__(self, name: str, choices: int, view: GoalView | None, child: BaseTask | None = None) -> None:
         super().__init__(name, choices, None if view is None else view.space, child)
         self._view = view
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """The part of the observation that the view shows."""
+        """Return the part of the observation in the view."""
         return seen.observation if self._view is None else self._view.see(seen.observation)
 
 
@@ -44,30 +44,30 @@ class ViewTask(BaseTask):
 class GoalSet:
     """Finitely many goals, numbered from 0."""
 
-    count: int  # how many there are
+    count: int  # number of goals
     reached: Callable[[Any, int], bool]  # (observation, goal) -> whether it is reached there
     is_open: Callable[[Any, int], bool] | None = None
-    """(observation, goal) -> whether the manager may name it there; anywhere by default."""
+    """(observation, goal) -> whether the manager can choose it there; anywhere by default."""
     policy: Callable[[Any, int], int | None] | None = None
-    """(observation, goal) -> the primitive towards it, None where there is none; by default that is learned."""
+    """(observation, goal) -> the primitive towards it, or None; by default this policy is learned."""
     manager_view: GoalView | None = None  # what of an observation the manager sees; all by default
-    worker_view: GoalView | None = None  # what of it the worker sees, beside the goal
+    worker_view: GoalView | None = None  # the part of it that the worker sees, in addition to the goal
     names: tuple[str, ...] = ()  # of the goals, for options made of them; numbers by default
     places: tuple[tuple[float, float] | None, ...] = ()
     """X and y of each goal on the floor, m, for drawings; none by default."""
     source: Literal["given", "synthesised"] = "given"  # where the goals come from
-    privileges: tuple[str, ...] = ("goals",)  # what they tell the agent that the observation does not
+    privileges: tuple[str, ...] = ("goals",)  # information beyond the observation
 
 
 class Manager(ViewTask):
-    """Names an open goal that is not reached; paid by the environment."""
+    """Task that chooses an open goal that is not reached, with the environment's reward."""
 
     def __init__(self, goals: GoalSet, worker: Worker) -> None:
         super().__init__("manager", goals.count, goals.manager_view, worker)
         self._goals, self._worker = goals, worker
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Goals that are open and not reached here, and towards which the worker can do something."""
+        """Return the open goals that are not reached here and leave the worker a choice."""
         goals = self._goals
         return np.array([
             not goals.reached(seen.observation, goal)
@@ -78,47 +78,47 @@ class Manager(ViewTask):
 
 
 class Worker(ViewTask):
-    """Walks to the goal it is told, paid for reaching it alone; gives up after `patience` primitives, with 0 never."""
+    """Task that is rewarded for reaching its goal only; it ends after `patience` primitives, or never for 0."""
 
     def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
         super().__init__("worker", primitives, goals.worker_view)
         self._goals, self._patience = goals, patience
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """The legal primitives; of a policy that is given, its one."""
+        """Return the legal primitives, or the one of a given policy."""
         policy = self._goals.policy
         return seen.mask if policy is None else allow_only(policy(seen.observation, context), seen.mask)
 
     def list_calls(self) -> Mapping[str, Any]:
-        """One a goal, under the goal's name."""
+        """Return one call for each goal, under the goal's name."""
         names = self._goals.names or tuple(f"goal {goal}" for goal in range(self._goals.count))
         return {name: goal for goal, name in enumerate(names)}
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
-        """The goal is open, not reached, and there is a way."""
+        """Return whether the goal is open, not reached, and has a way."""
         is_open = self._goals.is_open
         return (is_open is None or is_open(seen.observation, context)) and super().is_callable(seen, context)
 
     def find_place(self, context: Any) -> tuple[float, float] | None:
-        """Place of the goal."""
+        """Return the place of the goal."""
         return self._goals.places[context] if self._goals.places else None
 
     def is_reached(self, frame: Frame, seen: Seen) -> bool:
-        """The goal of a call is reached."""
+        """Return whether the goal of a call is reached."""
         return self._goals.reached(seen.observation, frame.context)
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Certain where the goal is reached, or patience has run out."""
+        """Return 1 if the goal is reached, or patience has run out, else 0."""
         given_up = self._patience > 0 and frame.primitives >= self._patience
         return float(given_up or self.is_reached(frame, seen))
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """1 on reaching the goal, by the last primitive of a choice that lasts several."""
+        """Return 1 on reaching the goal, at the last primitive of a choice."""
         return step.arrival * self.is_reached(frame, step.next_seen)
 
 
 def make_goal_hierarchy(goals: GoalSet, primitives: int, patience: int = 0) -> Hierarchy:
-    """A manager over a worker."""
+    """Make a hierarchy of a manager over a worker."""
     worker = Worker(goals, primitives, patience)
     return Hierarchy(Manager(goals, worker), (worker,), source=goals.source, privileges=goals.privileges)
 
@@ -130,25 +130,25 @@ GoalPoint = NDArray[np.float64]
 
 
 def measure_straight(start: GoalPoint, end: GoalPoint) -> NDArray[np.float64]:
-    """Euclidean distance over the components that matter, (...)."""
+    """Compute the Euclidean distance over the components that matter, (...)."""
     return np.sqrt(np.nansum((end - start) ** 2, axis=-1))
 
 
 @dataclass(frozen=True)
 class GoalSpace:
-    """Points that goals lie in, and the finitely many goals that may be named, numbered from 0."""
+    """Points for goals, and a finite set of goals to choose from, numbered from 0."""
 
     project: Callable[[Any], GoalPoint]  # observation -> its point
     goals: NDArray[np.float64]  # float64 (count, dimensions)
-    is_relative: bool = False  # goals are displacements from where they are named
+    is_relative: bool = False  # goals are displacements from the point of their choice
     distance: Callable[[GoalPoint, GoalPoint], NDArray[np.float64]] = measure_straight
     """From a point to points (..., dimensions), in their unit or in any other, such as primitives along the floor."""
-    tolerance: float = 1e-6  # distance at which a goal counts as reached
+    tolerance: float = 1e-6  # largest distance from a reached goal
     find_desired: Callable[[Any], int] | None = None
-    """Observation -> number of the goal that the episode asks for; None where its end alone tells."""
+    """Observation -> number of the goal that the episode asks for, or None if only its end shows it."""
     view: GoalView | None = None  # what of an observation tables and networks see; all by default
     names: tuple[str, ...] = ()  # of the goals, for a person; none by default
-    privileges: tuple[str, ...] = ("goals",)  # what the space tells an agent that the observation does not
+    privileges: tuple[str, ...] = ("goals",)  # information beyond the observation
 
     def __post_init__(self) -> None:
         if self.goals.ndim != 2 or not len(self.goals):
@@ -159,42 +159,42 @@ class GoalSpace:
                                      f"{len(self.goals)} goals, or none")
 
     def locate(self, goal: GoalPoint, observation: Any) -> GoalPoint:
-        """Point that a goal named at an observation means."""
+        """Return the point of a goal that was chosen at an observation."""
         return self.project(observation) + goal if self.is_relative else goal
 
     def advance(self, goal: GoalPoint, observation: Any, next_observation: Any) -> GoalPoint:
-        """h(s, g, s'): the same goal as told at s'; s + g - s' where goals are relative, else g."""
+        """Return h(s, g, s'), the same goal relative to s': s + g - s' if goals are relative, else g."""
         if not self.is_relative:
             return goal
         return goal + self.project(observation) - self.project(next_observation)
 
     def measure(self, goal: GoalPoint, observation: Any) -> NDArray[np.float64]:
-        """Distance that is left to a goal, or to each of several, as told at an observation; (...)."""
+        """Return the distance from an observation to a goal, or to each of several; (...)."""
         return self.distance(self.project(observation), self.locate(goal, observation))
 
     def is_reached(self, goal: GoalPoint, observation: Any) -> bool:
-        """A goal as told at an observation is reached there."""
+        """Return whether a goal is reached at an observation."""
         return bool(self.measure(goal, observation) <= self.tolerance)
 
     def list_reached(self, observation: Any) -> NDArray[np.bool_]:
-        """Mask of the goals that, named at an observation, are reached there, bool (count,)."""
+        """Return the mask of goals that are reached already when chosen at an observation, bool (count,)."""
         return self.measure(self.goals, observation) <= self.tolerance
 
 
 class GoalTask(ViewTask):
-    """A task that sees what a goal space shows of an observation, and knows the space as `goal_space`."""
+    """A task with the view of a goal space, which is its attribute `goal_space`."""
 
     def __init__(self, name: str, space: GoalSpace, choices: int, child: BaseTask | None = None) -> None:
         super().__init__(name, choices, space.view, child)
         self.goal_space = space
 
     def list_calls(self) -> Mapping[str, Any]:
-        """One a goal, by number."""
+        """Return one call for each goal, by number."""
         return {f"goal {goal}": goal for goal in range(len(self.goal_space.goals))}
 
 
 def make_goal_space(space: gymnasium.Space, agent: str) -> GoalSpace:
-    """Goals of an observation space: each state of a Discrete one; else each bound of each bounded component.
+    """Make the goals of an observation space: each state of a Discrete one, else each bound of each component.
 
     A bit has the goals 0 and 1.
 
@@ -223,7 +223,7 @@ def make_goal_space(space: gymnasium.Space, agent: str) -> GoalSpace:
 
 
 def make_goals(space: gymnasium.Space, agent: str) -> GoalSet:
-    """The same goals, for agents that know them by number alone."""
+    """Make the same goals, for agents that use their numbers only."""
     made = make_goal_space(space, agent)
     goals, is_free = made.goals, np.isnan(made.goals)
     return GoalSet(len(goals), lambda observation, goal: bool(

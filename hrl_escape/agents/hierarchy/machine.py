@@ -6,10 +6,10 @@
             yield from go_to((yield choose(PANELS)))    # learned: which panel
             yield do(TURN_LEFT)                         # a primitive
 
-`seen()` is the present moment. `yield choose(things)` is a choice point and gives back the thing that was chosen;
+`seen()` is the present moment. `yield choose(things)` is a choice point and returns the chosen thing;
 `yield do(primitive)` acts; `yield from other(...)` calls another machine. The machine state is the whole stack of
-running machines, each as (name, line, arguments): what a machine remembers in other variables is not part of it, so
-pass on as an argument what later choices depend on. The line counts from the machine's own first.
+running machines, each as (name, line, arguments). Other variables of a machine are not part of it, so
+pass values that later choices depend on as arguments. The line counts from the machine's own first.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hrl_escape.errors import StepContractError
 
 
 class Choose(NamedTuple):
-    """A choice point: what can be chosen, and a label where one line holds several."""
+    """A choice point: the things to choose among, and a label if a line has several points."""
 
     things: Sequence[Any]
     label: str = ""
@@ -45,8 +45,8 @@ class MachineCall(NamedTuple):
     """One call on the stack of running machines."""
 
     name: str  # of the machine
-    line: int  # where it waits, counted from its own first
-    arguments: tuple[Any, ...]  # what it was called with
+    line: int  # present line, counted from its own first
+    arguments: tuple[Any, ...]  # of its call
     primitives: int  # done since it was called
 
 
@@ -56,17 +56,17 @@ Machine = Callable[..., Program]
 
 
 def choose(things: Sequence[Any], label: str = "") -> Choose:
-    """A choice among things, to be yielded; with a single thing there is nothing to learn."""
+    """Make a choice point to yield; a single thing needs no learning."""
     return Choose(tuple(things), label)
 
 
 def do(primitive: int) -> Do:
-    """A primitive, to be yielded."""
+    """Make a primitive to yield."""
     return Do(int(primitive))
 
 
 def machine(function: Callable[..., Program]) -> Machine:
-    """Make a machine of a generator function whose first argument is `seen`; callers leave that out."""
+    """Make a machine of a generator function whose first argument is `seen`, which callers omit."""
 
     @functools.wraps(function)
     def call(*arguments: Any) -> Program:
@@ -77,7 +77,7 @@ def machine(function: Callable[..., Program]) -> Machine:
 
 
 def find_machines(root: Machine) -> dict[str, Machine]:
-    """Machines that a program can call, by name: those that its functions name, in whatever scope, and itself."""
+    """Machines that a program can call, by name: itself, and the machines that its functions name in any scope."""
     found: dict[str, Machine] = {}
     left: list[Any] = [root]
     while left:
@@ -92,20 +92,20 @@ def find_machines(root: Machine) -> dict[str, Machine]:
 
 
 Input = Seen | int
-"""Input of a run: a moment, at its start and after each primitive, or the index of what was chosen."""
+"""Input of a run: a moment, at its start and after each primitive, or the index of a choice."""
 
 
 class MachineRun:
     """One run of a machine, from the beginning of an episode.
 
-    A generator cannot be copied, so a run keeps all it was told: `MachineRun(root, run.inputs[:n])` is the run as it
-    was then.
+    A generator cannot be copied, so a run keeps all its inputs: `MachineRun(root, run.inputs[:n])` is the run after n
+    of them.
 
     Args:
-        callers: machine state of those that called it; by default it is the root of a program, which may not return.
+        callers: machine state of its callers; by default it is the root of a program, which must not return.
 
     Attributes:
-        request: what it waits for; None before the first moment, and where the machine has returned.
+        request: present request, or None before the first moment and after the machine returned.
     """
 
     def __init__(self, root: Callable[[], Program], inputs: Sequence[Input] = (),
@@ -115,17 +115,17 @@ class MachineRun:
         self.request: Choose | Do | None = None
         self._program = root()
         self._primitives = -1
-        """Done so far; the first moment comes before any."""
+        """Number of primitives so far; the first moment precedes them."""
         self._running: list[tuple[Any, int]] = []
         """Running machines, the outermost first, and the primitives done when each was called."""
         for each in inputs:
             self.tell(each)
 
     def tell(self, told: Input) -> None:
-        """Tell the moment reached, or which of the things is chosen.
+        """Send the moment reached, or the choice among the things.
 
         Raises:
-            StepContractError: the machine yields something else than choices and primitives, offers nothing, or has
+            StepContractError: the machine yields something other than choices and primitives, has no choice, or has
                 returned.
         """
         answer: Any = None
@@ -143,7 +143,7 @@ class MachineRun:
             self.request = None
             if self._callers:
                 return
-            raise StepContractError("the root machine returned while the episode goes on; let it loop") from None
+            raise StepContractError("the root machine returned before the end of the episode; let it loop") from None
         if not isinstance(request, (Choose, Do)):
             raise StepContractError(f"a machine yielded {request!r}; it must yield choose(things) or do(primitive)")
         self.request = request
@@ -164,7 +164,7 @@ class MachineRun:
         self._running[kept:] = [(each, self._primitives) for each in programs[kept:]]
 
     def list_calls(self) -> tuple[MachineCall, ...]:
-        """Running machines, the outermost first."""
+        """Return the running machines, the outermost first."""
         calls = []
         for program, began in self._running:
             frame, code = program.gi_frame, program.gi_code
@@ -174,6 +174,6 @@ class MachineRun:
         return tuple(calls)
 
     def read_state(self) -> Hashable:
-        """The machine state: (name, line, arguments) of every running machine, the outermost first, and the label."""
+        """Return the machine state: (name, line, arguments) of each running machine, outermost first, and the label."""
         label = self.request.label if isinstance(self.request, Choose) else ""
         return (*self._callers, *(call[:3] for call in self.list_calls()), label)

@@ -1,12 +1,11 @@
-"""An agent that runs a hierarchy's calls: the part of the Agent protocol that all hierarchical agents share.
+"""Base of hierarchical agents: runs the calls of a hierarchy behind the interface of `Agent`.
 
-It walks the stack and turns each primitive's outcome into returned decisions; subclasses choose and
-learn. Evaluation runs calls of its own beside those of learning, one stack per generator: `play_episode`
-makes a generator per episode, so a call that lasts is remembered within an episode and never beyond, and
-nothing of it is part of the agent's state.
+It walks the stack and turns each primitive's outcome into returned decisions; subclasses choose and learn. Evaluation
+has calls of its own, one stack per generator. `play_episode` makes a generator per episode, so a running call is
+remembered within an episode only and is not part of the agent's state.
 
-`StackAgent` is made of agents: each task's learner is an ordinary `Agent` that sees its task's views and choices, and
-learns from SMDP transitions whose reward is its task's pay.
+`StackAgent` has an ordinary `Agent` for each task. It receives the views and choices of its task, and
+learns from SMDP transitions with its task's rewards.
 """
 
 from __future__ import annotations
@@ -47,12 +46,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StackSettings(AgentSettings):
-    """Settings of how calls run."""
+    """Settings of the execution of calls."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
 
 
@@ -60,16 +59,16 @@ class CallRunner(SwitchingAgent):
     """Runs the calls of a hierarchy on a flat environment.
 
     Attributes:
-        stack: the running calls, the root first; what `watch` shows.
+        stack: the running calls, the root first, as shown by `watch`.
     """
 
     EPISODE = ("_stack", "_chosen")
     EPISODE_STATE = ("stack", "choice")
     STATE = (Kept("_rng", "calls_rng"), Kept("_running", "stack"), Kept("_kept_choice", "choice", is_left_out=True))
     _stack: Stack
-    """Calls that run at the next choice; the last of them is to choose."""
+    """Running calls at the next choice; the last one chooses."""
     _chosen: tuple[Stack, Seen, int] | None
-    """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
+    """After `act`: the stack down to the primitive, and the moment. The next `act` chooses again."""
 
     def __init__(self, hierarchy: Hierarchy, seed: int, settings: AgentSettings) -> None:
         self.hierarchy, self.privileges = hierarchy, hierarchy.privileges
@@ -77,23 +76,23 @@ class CallRunner(SwitchingAgent):
         self._rng = make_rng(seed, "calls")
         self.begin_episode()
         self._latest: tuple[Stack, Seen] | None = None
-        """Of the latest choice, in learning or evaluation."""
+        """Stack of the latest choice, in learning or evaluation."""
 
     def begin_episode(self) -> None:
-        """No call runs."""
+        """End all running calls."""
         self._stack, self._chosen = (), None
 
     @property
     def stack(self) -> Stack:
-        """Running calls, down to the one that chose the primitive."""
+        """Running calls, down to the call that chose the primitive."""
         return self._stack if self._chosen is None else self._chosen[0]
 
     @property
     def moment(self) -> Seen | None:
-        """The moment at which the primitive was chosen; None before `act`."""
+        """The moment of the choice of the primitive, or None before `act`."""
         return None if self._chosen is None else self._chosen[1]
 
-    # --- what subclasses say ----------------------------------------------------------
+    # --- methods of subclasses --------------------------------------------------------
 
     @abstractmethod
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
@@ -102,14 +101,14 @@ class CallRunner(SwitchingAgent):
     @abstractmethod
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """Choose for the last call in evaluation; nothing in the agent may change."""
+        """Choose for the last call in evaluation, without any change of the agent."""
 
     @abstractmethod
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn from one primitive and the decisions that came back with it, the innermost first."""
+        """Learn from one primitive and the decisions that it completed, the innermost first."""
 
     def get_gamma(self, task: BaseTask) -> float:
-        """Discount at which a task's decisions are summed."""
+        """Discount of a task's sums over decisions."""
         return self.gamma
 
     # --- the agent --------------------------------------------------------------------
@@ -141,17 +140,17 @@ class CallRunner(SwitchingAgent):
         return action
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
-        """Keep how many primitives a decision of evaluation took, for calls that end after a number of them."""
+        """Record the duration of a decision of evaluation, for calls with a limit of primitives."""
         if (known := self.recall(rng)) is not None:
             stack, step = known
             is_over = transition.terminated or transition.truncated
             self._evaluation = None if is_over else (rng, stack, step._replace(duration=transition.duration))
 
     def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:  # noqa: B027
-        """Told in evaluation of the decisions that came back, without pay."""
+        """Receive the returned decisions in evaluation, without rewards."""
 
     def list_calls(self) -> tuple[RunningCall, ...]:
-        """Calls behind the latest choice, the root first."""
+        """Return the calls behind the latest choice, the root first."""
         stack, seen = self._latest or ((), None)
         return tuple(
             RunningCall(frame.task.name, frame.context, frame.primitives, frame.task.ends(frame, seen),
@@ -160,7 +159,7 @@ class CallRunner(SwitchingAgent):
         )
 
     def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Every call that a task below the root can be told, run to its end; without tasks below, the whole policy."""
+        """Return every call of a task below the root, run to its end; without tasks below, the whole policy."""
         calls = [(name, task, context) for task in self.hierarchy.below for name, context in task.list_calls().items()]
         return tuple(self._export(*call) for call in calls) or super().get_options()
 
@@ -171,7 +170,7 @@ class CallRunner(SwitchingAgent):
         return OptionPolicy(name, self, lambda: _CallRun(self, task, context), can_start)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Pay the running calls, end those that are over, and learn; refuse a primitive that they did not choose."""
+        """Reward the running calls, end calls that are over, and learn; refuse a primitive that they did not choose."""
         if self._chosen is None or self._chosen[2] != transition.action:
             raise StepContractError(
                 f"action {transition.action} was not chosen by the calls that run; a hierarchical agent learns from "
@@ -200,7 +199,7 @@ class CallRunner(SwitchingAgent):
 
     @property
     def _kept_choice(self) -> list[Any] | None:
-        """In many environments, the choice that has not ended yet; a single one is saved between decisions."""
+        """Open choice in many environments; a single environment is saved between decisions."""
         if self._chosen is None or self._env is None:
             return None
         stack, seen, action = self._chosen
@@ -214,7 +213,7 @@ class CallRunner(SwitchingAgent):
 
 
 class TabularRunner(CallRunner):
-    """Base of runners whose calls choose by tables of values, and explore as `TabularSettings` say."""
+    """Base of runners with tables of values, and exploration by `TabularSettings`."""
 
     STATE = ("_steps", "_action_rng")
 
@@ -224,7 +223,7 @@ class TabularRunner(CallRunner):
 
     @abstractmethod
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """Values of what the last call may choose, (choices,); None where a given policy leaves it one choice."""
+        """Return the values of the last call's choices, (choices,), or None with a given policy."""
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """Explore by the call's values."""
@@ -235,7 +234,7 @@ class TabularRunner(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The call's best choice, drawn among equals."""
+        """Choose the best choice of the call, uniformly among equals."""
         values = self.weigh(stack, view, seen)
         return int(legal.argmax()) if values is None else choose_best(values, legal, rng)
 
@@ -246,7 +245,7 @@ class TabularRunner(CallRunner):
 
 
 class _CallRun:
-    """One call by itself, as the root's only choice, run by the agent's greedy policy."""
+    """A single call, as the root's only choice, run by the agent's greedy policy."""
 
     def __init__(self, runner: CallRunner, task: BaseTask, context: Any) -> None:
         self._runner, self._task, self._context = runner, task, context
@@ -283,21 +282,20 @@ class _CallRun:
 
 
 class StackAgent(CallRunner):
-    """An agent at each task, told of its task's decisions.
+    """An agent at each task, which learns from its task's decisions.
 
-    Of a decision (s, c) of task i that lasted k primitives, the learner of i is told s, c, s', gamma^k and
+    After a decision (s, c) of task i that lasted k primitives, the agent of i receives s, c, s', gamma^k and
 
         R = sum over t < k of gamma^t pay_i(t)    [+ gamma^k final_i(s') if i ended by itself]
 
-    It is told "terminated" where i ended by itself, where i had nothing left to choose, and where the episode
-    terminated; "truncated" where a caller or the time limit took i along, so that it bootstraps at the cut in its
-    own view.
+    "terminated" is set if i ended by itself, had nothing left to choose, or the episode terminated. "truncated" is set
+    if a caller or the time limit ended i, and the agent then bootstraps at the cut in its own view.
 
     Args:
-        observation_space: the environment's, for tasks that name no view space of their own.
+        observation_space: the environment's, for tasks without a view space of their own.
 
     Attributes:
-        learners: task name -> its learner; tasks that share one map to the same object.
+        learners: task name -> its agent; tasks that share an agent map to the same object.
     """
 
     Settings: ClassVar[type] = StackSettings
@@ -306,7 +304,7 @@ class StackAgent(CallRunner):
     def __init__(self, hierarchy: Hierarchy, observation_space: gymnasium.Space, seed: int,
                  settings: StackSettings | None = None) -> None:
         super().__init__(hierarchy, seed, settings or StackSettings())
-        self.made_for = None  # the second argument is no action space
+        self.made_for = None  # the second argument is not an action space
         tasks = hierarchy.tasks
         self._owned: dict[str, Agent] = {}
         for name, make in hierarchy.learners.items():
@@ -316,7 +314,7 @@ class StackAgent(CallRunner):
         self.learners = self._owned | {name: self._owned[owner] for name, owner in hierarchy.share.items()}
 
     def get_gamma(self, task: BaseTask) -> float:
-        """The discount of the task's learner; the agent's own where nobody learns."""
+        """Return the discount of the task's agent, or the agent's own without one."""
         learner = self.learners.get(task.name)
         return self.gamma if learner is None else learner.gamma
 
@@ -337,7 +335,7 @@ class StackAgent(CallRunner):
         return [name for name, each in self.learners.items() if each is learner]
 
     def _find_env(self, stack: Stack, learner: Agent) -> torch.Tensor:
-        """Number of the environment in which the learner of a running call acts, int64 (1,).
+        """Number of the environment for the agent of a running call, int64 (1,).
 
         Raises:
             UnsupportedError: two calls of one task run at once.
@@ -351,7 +349,7 @@ class StackAgent(CallRunner):
         return torch.tensor([self._env * len(tasks) + tasks.index(task)])
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """The learner's exploring choice, or the task's own."""
+        """Return the exploring choice of the task's agent, or the task's own."""
         task, context = stack[-1].task, stack[-1].context
         learner = self.learners.get(task.name)
         if learner is None:
@@ -363,13 +361,13 @@ class StackAgent(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The learner's greedy choice, or the task's own."""
+        """Return the greedy choice of the task's agent, or the task's own."""
         task, context = stack[-1].task, stack[-1].context
         learner = self.learners.get(task.name)
         return task.decide(seen, context, rng) if learner is None else learner.act_greedy(view, legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Hand every returned decision to its task's learner, unless it was summed at another discount."""
+        """Pass every returned decision to its task's agent, unless it was summed at another discount."""
         metrics: dict[str, float] = {}
         for returned in returns:
             task = returned.frame.task
@@ -393,7 +391,7 @@ class StackAgent(CallRunner):
         return serve_many(learner).observe(Decisions(self._find_env(returned.stack, learner), *fields))
 
     def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:
-        """Learners hear of the decisions that they made."""
+        """Pass the returned decisions to the agents that made them."""
         for returned in returns:
             if (learner := self.learners.get(returned.frame.task.name)) is not None:
                 learner.note_outcome(make_task_transition(returned), rng)
@@ -406,7 +404,7 @@ def _make_row(value: Any) -> torch.Tensor:
 
 
 def make_task_transition(returned: Return) -> SMDPTransition:
-    """The SMDP transition of one decision of a running call, as the learner of its task is told it."""
+    """Return the SMDP transition of a running call's decision, as input of its task's agent."""
     frame, decision = returned.frame, returned.decision
     task, seen = frame.task, returned.seen
     final = task.final(frame, seen) if returned.ended else 0.0

@@ -1,8 +1,8 @@
 """The words of a hierarchy: what a task sees, what it calls, what a running call is, and the base of tasks.
 
 A hierarchical method is a stack of running calls. At each primitive the top call chooses, the world
-moves once, and every running call is paid and asked whether it is over. Methods differ in the answers
-that a task gives to six questions: `view`, `legal`, `decode`, `ends`, `pay`, `final`. Nothing here learns.
+advances once, and every running call is rewarded and can end. Methods differ in the six methods of a task:
+`view`, `legal`, `decode`, `ends`, `pay` and `final`. The module does not learn.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class Seen(NamedTuple):
 
     observation: Any  # as the environment gave it
     mask: NDArray[np.bool_]  # bool (primitives,), the primitives legal there
-    state: Any = None  # what `Hierarchy.read` made of the observation; None without it
+    state: Any = None  # what `Hierarchy.read` made of the observation, or None without it
 
 
 def allow_only(choice: int | None, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mask of one choice alone, all false where it is illegal or None; bool (choices,)."""
+    """Return the mask of one choice alone, all false if it is illegal or None; bool (choices,)."""
     return mask & (np.arange(len(mask)) == (-1 if choice is None else choice))
 
 
@@ -38,7 +38,7 @@ class Call(NamedTuple):
 
     Attributes:
         child: a task, or the number of a primitive.
-        context: what the child is told: a goal, a command, a length.
+        context: argument of the child: a goal, a command, a length.
     """
 
     child: BaseTask | int
@@ -46,7 +46,7 @@ class Call(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """A choice that a running call has made, and what came of it so far."""
+    """A choice of a running call, and its outcome so far."""
 
     view: Any  # what the task saw when it chose
     legal: NDArray[np.bool_]  # bool (choices,), what it could choose
@@ -61,11 +61,11 @@ class Frame(NamedTuple):
     """One running call."""
 
     task: BaseTask  # which task runs
-    context: Any  # what its caller told it
+    context: Any  # argument from its caller
     start: Seen  # the moment of the call
     primitives: int = 0  # primitives that ran since
     reward: float = 0.0  # undiscounted sum of its pay since
-    decision: Decision | None = None  # its latest choice; None before the first
+    decision: Decision | None = None  # its latest choice, or None before the first
 
 
 Stack = tuple[Frame, ...]
@@ -73,9 +73,9 @@ Stack = tuple[Frame, ...]
 
 
 class Step(NamedTuple):
-    """One primitive: what the world did."""
+    """Outcome of one primitive."""
 
-    seen: Seen  # where it was done
+    seen: Seen  # moment of its choice
     action: int  # which primitive
     reward: float
     """Reward of the environment, discounted within the primitive where it lasts several steps (an option of the
@@ -91,14 +91,14 @@ class Step(NamedTuple):
 
 
 class BaseTask:
-    """A kind of call: by default it sees the observation, is paid by the environment, and calls primitives until told.
+    """A kind of call: by default it sees the observation, gets the environment's reward, and never ends by itself.
 
     Views and contexts are numbers, arrays, or None, so that a checkpoint can hold a running call.
 
     Args:
         name: unique in its hierarchy.
-        view_space: of its views; None is the environment's observation space.
-        child: the task that every choice calls, told the choice's number; None where choices are primitives.
+        view_space: of its views, or None for the environment's observation space.
+        child: the task that every choice calls with the choice's number, or None if choices are primitives.
     """
 
     def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None,
@@ -107,68 +107,68 @@ class BaseTask:
         self.space = gymnasium.spaces.Discrete(choices)
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """View that its learner has, the observation by default; `stack` holds the running calls, its own last."""
+        """Return the input of its agent, by default the observation; `stack` holds the running calls, its own last."""
         return seen.observation
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Choices it has here, bool (choices,): legal primitives by default; no child that would be over at once."""
+        """Return its legal choices, bool (choices,): by default legal primitives, and children not over at once."""
         return seen.mask
 
     def find_place(self, context: Any) -> tuple[float, float] | None:
-        """Place (x, y) of the goal of a call on the floor, m, for drawings; None where it has no place."""
+        """Return the place (x, y) of the goal of a call on the floor, m, for drawings, or None."""
         return None
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
-        """A call may begin here: it would not be over at once, and has something to choose."""
+        """Return whether a call can begin here: it is not over at once, and has a legal choice."""
         return self.ends(Frame(self, context, seen), seen) < 1.0 and bool(self.legal(seen, context).any())
 
     def list_calls(self) -> Mapping[str, Any]:
-        """Calls that stand on their own, as options: name -> what the caller says, by default one, told nothing."""
+        """Return calls to use as options: name -> argument; by default one without an argument."""
         return {self.name: None}
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The call that a choice stands for, by default the primitive of this number, or the child, told it."""
+        """Return the call of a choice, by default the primitive of this number, or the child with this number."""
         return Call(int(choice)) if self.child is None else Call(self.child, int(choice))
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Probability that the call is over here; 1.0 is certain, and by 0.0 only a caller or the episode ends it."""
+        """Return the probability that the call is over here; with 0.0 only a caller or the episode ends it."""
         return 0.0
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """Its reward for one primitive, the environment's by default; for what it reached, times `step.arrival`."""
+        """Return its reward for one primitive, by default the environment's; `step.arrival` discounts the arrival."""
         return step.reward
 
     def final(self, frame: Frame, seen: Seen) -> float:
-        """Pseudo-reward where it ended by itself: for its own learner, never for its caller's."""
+        """Return the pseudo-reward at its own end, for its own agent and not for its caller's."""
         return 0.0
 
     def decide(self, seen: Seen, context: Any, rng: np.random.Generator) -> int:
-        """Its choice where no learner makes it, by default any legal one, uniformly."""
+        """Choose without an agent, by default uniformly among legal choices."""
         legal = self.legal(seen, context).nonzero()[0]
         return int(legal[rng.integers(len(legal))])
 
 
 LearnerSpec = Callable[[gymnasium.Space, gymnasium.spaces.Discrete, int], Agent]
-"""Makes the learner of a task from view space, choices and seed: an agent's class, or
+"""Makes the agent of a task from view space, choices and seed: an agent's class, or
 `functools.partial(make_agent, "dqn")`."""
 
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """Tasks below a root, the learner of each, and what they are told that a flat agent is not."""
+    """Tasks below a root, the agent of each, and their information beyond a flat agent's."""
 
     root: BaseTask  #: the call that runs for the whole episode
     below: tuple[BaseTask, ...] = ()  #: all other tasks
     learners: Mapping[str, LearnerSpec] = field(default_factory=dict)
-    """Task name -> how its learner is made; a task without one decides for itself."""
-    share: Mapping[str, str] = field(default_factory=dict)  #: task name -> name of the task whose learner it shares
+    """Task name -> constructor of its agent; a task without one chooses by `decide`."""
+    share: Mapping[str, str] = field(default_factory=dict)  #: task name -> name of the task whose agent it uses
     source: Literal["given", "synthesised", "learned"] = "given"  #: where the structure comes from
     privileges: tuple[str, ...] = ()
     """Knowledge that is not in the observation, such as `task graph` or `state`; printed in tables."""
     read: Callable[[Any], Any] | None = None  #: makes `Seen.state` of an observation
 
     MOST_DEPTH: ClassVar[int] = 64
-    """Bound on running calls; more is a task that calls itself for ever."""
+    """Bound on running calls, against unlimited recursion."""
 
     def see(self, observation: Any, mask: NDArray[np.bool_]) -> Seen:
         """The moment of an observation."""
@@ -188,14 +188,14 @@ class Hierarchy:
                 raise UnknownNameError(f"task in Hierarchy.{where}", min(unknown), names)
 
 
-# --- how choices go down to a primitive, and its outcome comes back up: pure functions of stacks ---
+# --- descent to a primitive, and return of its outcome: pure functions of stacks ---
 
 Chooser = Callable[[Stack, Any, NDArray[np.bool_], Seen], int]
 """Chooses for the last frame of a stack: (stack, view, legal choices, moment) -> choice."""
 
 
 class Return(NamedTuple):
-    """One decision of one running call that is complete, or was cut."""
+    """A decision of a running call that is complete, or was cut."""
 
     stack: Stack  # the running calls up to this one, paid, as they were before any was ended
     seen: Seen  # the moment reached
@@ -212,7 +212,7 @@ class Return(NamedTuple):
 
     @property
     def stuck(self) -> bool:
-        """The call did not end by itself, but has nothing left to choose, so that nothing follows in its own view."""
+        """True if the call did not end by itself, but has no legal choice left."""
         return not (self.ended or self.terminated) and not self.frame.task.legal(self.seen, self.frame.context).any()
 
     @property
@@ -224,17 +224,17 @@ class Return(NamedTuple):
 
 
 def descend(stack: Stack, seen: Seen, choose: Chooser) -> tuple[Stack, int]:
-    """Let the top call choose, and every call it makes; returns the stack with these, down to a primitive, and that.
+    """Let the top call and its callees choose; return the stack down to a primitive, and the primitive.
 
     Raises:
-        StepContractError: a task has nothing to choose, calls what is illegal or over already, or calls for ever.
+        StepContractError: a task has no legal choice, calls a child that is illegal or over, or recurses without end.
     """
     while True:
         frame = stack[-1]
         task = frame.task
         legal = task.legal(seen, frame.context)
         if not legal.any():
-            raise StepContractError(f"task {task.name!r} runs where it has nothing to choose")
+            raise StepContractError(f"task {task.name!r} runs without a legal choice")
         view = task.view(seen, stack)
         choice = int(choose(stack, view, legal, seen))
         if not legal[choice]:
@@ -248,7 +248,7 @@ def descend(stack: Stack, seen: Seen, choose: Chooser) -> tuple[Stack, int]:
         called = Frame(call.child, call.context, seen)
         if call.child.ends(called, seen) >= 1.0:
             raise StepContractError(
-                f"task {task.name!r} calls {call.child.name!r} where that is over already; `legal` must leave it out"
+                f"task {task.name!r} calls {call.child.name!r} where that is over already; `legal` must exclude it"
             )
         stack = (*stack, called)
         if len(stack) > Hierarchy.MOST_DEPTH:
@@ -259,19 +259,19 @@ def arrive(stack: Stack, step: Step, get_gamma: Callable[[BaseTask], float], dra
            polled: bool = False, paid: bool = True) -> tuple[Stack, list[Return]]:
     """Pay every running call for a primitive, and end those that are over.
 
-    A call that ends takes all calls below it along. What is left is a stack whose last call must choose next; it is
+    A call that ends also ends all calls below it. The last call of the remaining stack chooses next; the stack is
     empty where the root is over.
 
     Args:
         stack: from `descend`.
-        step: what the world did.
+        step: outcome of the primitive.
         get_gamma: the discount of a task, per step of the environment.
-        draw: whether a termination of this probability, above 0 and below 1, happens.
-        polled: end every call but the root, so that each is chosen anew at every primitive.
-        paid: compute pay; without it rewards stay 0, for evaluation, where none is known.
+        draw: samples a termination of this probability, above 0 and below 1.
+        polled: end every call but the root, and choose each again at every primitive.
+        paid: compute rewards; otherwise they stay 0, as in evaluation.
 
     Returns:
-        The stack left, and the decisions that are complete, the innermost first.
+        The remaining stack, and the decisions that are complete, the innermost first.
     """
     seen = step.next_seen
     stack = tuple(_pay(frame, step, get_gamma(frame.task), paid) for frame in stack)
@@ -311,7 +311,7 @@ def _is_ended(frame: Frame, seen: Seen, draw: Callable[[float], bool]) -> bool:
 
 
 def save_stack(stack: Stack) -> list[StateTree]:
-    """Running calls as a state tree."""
+    """Return running calls as a state tree."""
     return [
         {
             "task": frame.task.name,
@@ -326,7 +326,7 @@ def save_stack(stack: Stack) -> list[StateTree]:
 
 
 def load_stack(state: list[StateTree], hierarchy: Hierarchy) -> Stack:
-    """Running calls from what `save_stack` gave."""
+    """Return running calls from the result of `save_stack`."""
     starts = [hierarchy.see(each["start"][0], np.asarray(each["start"][1], np.bool_)) for each in state]
     tasks = hierarchy.tasks
     return tuple(

@@ -1,7 +1,7 @@
-"""Task hierarchies by hand: a graph of named tasks, MAXQ's form (Dietterich 2000).
+"""Task hierarchies by hand: a graph of named tasks, as in MAXQ (Dietterich 2000).
 
-A task is a name, its children, a predicate that ends it, what of the moment it may look at, and a
-pseudo-reward where it ends. Children are other tasks or numbers of primitives.
+A task has a name, children, a predicate that ends it, the parts of the moment that it observes, and a
+pseudo-reward at its end. Children are other tasks or numbers of primitives.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, L
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
 Until = Callable[[Seen], bool]
-"""True where the task is over."""
+"""True if the task is over."""
 View = Callable[[Seen], Any]
 """Part of a moment that matters: a number, a tuple of numbers, or an array."""
 Pseudo = Callable[[Seen], float]
-"""Pseudo-reward of the state in which the task ended."""
+"""Pseudo-reward of a task's final state."""
 TaskPolicy = Callable[[Seen], int | None]
-"""The one child, by its number as a choice, that a task whose policy is known may call; None where there is none."""
+"""Choice of a task with a given policy: number of the only legal child, or None for no child."""
 
 
 class GraphTask(BaseTask):
@@ -32,7 +32,7 @@ class GraphTask(BaseTask):
         children: tasks and primitives, numbered as choices are.
         views: what matters to it: under None, for the task; under a choice, for that choice's completion.
         primitive_views: what matters to the value of a primitive, for all tasks.
-        policy: makes its choice for it; None leaves the choice to learning.
+        policy: makes its choice for it, or None to learn the choice.
     """
 
     def __init__(
@@ -52,23 +52,23 @@ class GraphTask(BaseTask):
         self.children: tuple[GraphTask | int, ...] = ()
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """The moment as `see` shows it, the observation by default."""
+        """Return the view of `see`, by default the observation."""
         view = self.views.get(None)
         return seen.observation if view is None else view(seen)
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Legal primitives, and tasks that are not over and have something to choose themselves."""
+        """Return legal primitives, and tasks that are not over and have legal choices themselves."""
         if self.policy is not None:
             return allow_only(self.policy(seen), np.ones(len(self.children), np.bool_))
         return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen, None)
                          for child in self.children], np.bool_)  # fmt: skip
 
     def find_place(self, context: Any) -> tuple[float, float] | None:
-        """Place that the task was given."""
+        """Return the given place of the task."""
         return self.place
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
-        """The task is not over here and has something to choose."""
+        """Return whether the task is not over here and has a legal choice."""
         if self.until(seen):
             return False
         if self.policy is not None:
@@ -77,15 +77,15 @@ class GraphTask(BaseTask):
                    for child in self.children)  # fmt: skip
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The child of this number."""
+        """Return the child of this number."""
         return Call(self.children[choice])
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Certain at the end that `until` names."""
+        """Return 1 if `until` holds, else 0."""
         return float(self.until(seen))
 
     def final(self, frame: Frame, seen: Seen) -> float:
-        """The pseudo-reward of the state reached, 0 without one."""
+        """Return the pseudo-reward of the state reached, 0 without one."""
         return 0.0 if self.pseudo is None else self.pseudo(seen)
 
 
@@ -102,23 +102,23 @@ def maxq(
     source: Literal["given", "synthesised"] = "given",
     privileges: tuple[str, ...] = (),
 ) -> Hierarchy:
-    """A hierarchy from a graph of named tasks.
+    """Make a hierarchy from a graph of named tasks.
 
     Args:
         graph: task -> its children, tasks by name and primitives by number; the first task is the root.
-        until: task -> where it is over; the root needs none.
-        see: what matters, the whole observation by default: task -> to its decisions; (task, child) -> to the
-            completion of that one choice, MAXQ's finer abstraction; primitive -> to what it earns by itself.
+        until: task -> predicate of its end; the root needs none.
+        see: relevant part, the whole observation by default: task -> for its decisions; (task, child) -> for the
+            completion of that one choice, MAXQ's finer abstraction; primitive -> for its own reward.
         pseudo: task -> pseudo-reward of the state it ended in.
-        policies: task -> its policy, where that is known and nothing is to be learned.
+        policies: task -> its policy, if it is given instead of learned.
         places: task -> x and y of its goal on the floor, m, for drawings.
-        learners: task -> its learner, for `StackAgent`.
+        learners: task -> constructor of its agent, for `StackAgent`.
         read: makes `Seen.state` of an observation.
         source: where the graph comes from.
-        privileges: what else than graph and state it tells the agent.
+        privileges: information beyond graph and state.
 
     Raises:
-        UnknownNameError: a child or a key names no task.
+        UnknownNameError: a child or a key is not the name of a task.
         AgentSettingsError: a task below the root has no `until`, or tasks call each other in a circle.
     """
     see, pseudo, policies, places = see or {}, pseudo or {}, policies or {}, places or {}
@@ -150,15 +150,15 @@ def maxq(
 
 
 def flat(primitives: int) -> Hierarchy:
-    """One task that calls every primitive: a flat agent as a hierarchy."""
+    """Make a hierarchy of one task that calls every primitive: a flat agent."""
     return Hierarchy(maxq({"root": range(primitives)}, {}).root)
 
 
 def get_graph(hierarchy: Hierarchy, agent: str) -> GraphTask:
-    """The root of a hierarchy that is a task graph.
+    """Return the root of a hierarchy that is a task graph.
 
     Raises:
-        AgentSettingsError: some task is of another kind, without children that could be listed.
+        AgentSettingsError: a task is of another kind, without a list of children.
     """
     for task in hierarchy.tasks.values():
         if not isinstance(task, GraphTask):
@@ -168,14 +168,14 @@ def get_graph(hierarchy: Hierarchy, agent: str) -> GraphTask:
 
 
 def get_task(stack: Stack) -> GraphTask:
-    """The task of the last call, in a hierarchy that `get_graph` has passed."""
+    """Return the task of the last call, in a hierarchy that passed `get_graph`."""
     task = stack[-1].task
     assert isinstance(task, GraphTask)
     return task
 
 
 def freeze(view: Any) -> Hashable:
-    """A view as a key: equal views have equal keys, and `repr` writes a key as a literal."""
+    """Convert a view to a key: equal views have equal keys, and `repr` writes a key as a literal."""
     if isinstance(view, np.ndarray):
         return view.tobytes()
     if isinstance(view, np.generic):
@@ -189,7 +189,7 @@ def freeze(view: Any) -> Hashable:
 
 def _refuse_circles(task: GraphTask, callers: tuple[str, ...]) -> None:
     if task.name in callers:
-        raise AgentSettingsError("graph", " -> ".join((*callers, task.name)), "a graph in which no task calls itself")
+        raise AgentSettingsError("graph", " -> ".join((*callers, task.name)), "a graph without cycles")
     for child in task.children:
         if not isinstance(child, int):
             _refuse_circles(child, (*callers, task.name))

@@ -1,11 +1,11 @@
 """Archives of named parts, each with its size and SHA-256: how runs and trained agents are stored.
 
-An archive is a zip of `manifest.json`, with the bytes and SHA-256 of each part, then the parts. Nothing in it is
+An archive is a zip of `manifest.json`, with the bytes and SHA-256 of each part, then the parts. The archive is not
 compressed and no time is kept: equal parts give equal archives, byte for byte, and no archive unpacks to more than its
 own bytes. Reading takes known names only, once each, so that no name in an archive, absolute, with `..` or of a link,
 ever becomes a path.
 
-A run's archive holds the files of its folder by which it is read and resumed.
+A run's archive holds the files of its folder that are needed to read and resume it.
 """
 
 from __future__ import annotations
@@ -119,10 +119,10 @@ def read_parts(path: str | os.PathLike[str], kind: ArchiveKind, wanted: Iterable
         path: the archive.
         kind: of the archive.
         wanted: names of parts whose content is returned; it must have them.
-        folder: write all parts there too, each as a new file; None writes nothing.
+        folder: write all parts there too, each as a new file, or None.
 
     Raises:
-        FileReadError: there is no archive, or it may not be read.
+        FileReadError: no such archive, or it cannot be read.
         CheckpointError: it is damaged, or of another kind.
     """
     path = Path(path)
@@ -151,7 +151,7 @@ def read_parts(path: str | os.PathLike[str], kind: ArchiveKind, wanted: Iterable
 
 @contextmanager
 def refusing_archive(path: Path, kind: ArchiveKind) -> Iterator[None]:
-    """Turn whatever the content of an archive raises into one sentence, a `CheckpointError`."""
+    """Raise a `CheckpointError` in one sentence for any error in the content of an archive."""
     try:
         yield
     except CheckpointError:
@@ -165,7 +165,7 @@ def refusing_archive(path: Path, kind: ArchiveKind) -> Iterator[None]:
 
 @contextmanager
 def making_folder(folder: Path) -> Iterator[Path]:
-    """A new folder beside its place, which takes it at the end of the block: whole, or not at all.
+    """Yield a temporary folder next to its place, and move it there at the end of the block: whole, or not at all.
 
     Raises:
         FileWriteError: the folder is there already, or cannot be written.
@@ -263,7 +263,7 @@ RUN_FILES = (DESCRIBED, "log.jsonl", LAST, BEST, RESULT)
 FROZEN = (DESCRIBED, LAST, RESULT)
 """Files of an agent that only acts."""
 RUN_ARCHIVE = ArchiveKind("a run", re.compile("|".join(map(re.escape, RUN_FILES))),
-                          "Pack the run anew with `hrl-escape run pack`")
+                          "Pack the run again with `hrl-escape run pack`")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -295,7 +295,7 @@ def pack_run(folder: str | os.PathLike[str], path: str | os.PathLike[str], is_fr
     Args:
         folder: folder of a run that no process is training.
         path: the archive, by custom ending in `.zip`.
-        is_frozen: take only what acting needs: the description, in which ids stand for sets of rooms, the last
+        is_frozen: take only what acting needs: the description, with ids in place of sets of rooms, the last
             checkpoint without the experience that is still to be learned from, and the result without its episodes.
 
     Raises:
@@ -321,8 +321,8 @@ def unpack_run(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> 
     """Make a run's folder from its archive: whole, or not at all.
 
     Raises:
-        FileReadError: there is no archive, or it may not be read.
-        CheckpointError: it is damaged or no archive of a run; nothing was written.
+        FileReadError: no such archive, or it cannot be read.
+        CheckpointError: it is damaged or not an archive of a run; no files were written.
         FileWriteError: the folder is there already, or cannot be written.
     """
     with making_folder(Path(folder)) as made:

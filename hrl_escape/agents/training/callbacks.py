@@ -1,9 +1,9 @@
-"""Callbacks: whatever wants to be told of a run as it trains, and may end it after an evaluation.
+"""Callbacks: observers of a training run, which can end it after an evaluation.
 
     train("dqn", env, primitives=100_000, out="runs/one", callbacks=[TensorBoard()])
 
-A callback changes nothing of what the run computes and is no part of its identity. A run that one ended keeps its
-checkpoint and has no result yet, so that the same call without it goes on from there.
+A callback does not change the results of the run and is not part of its identity. A run that a callback ended keeps
+its checkpoint and has no result yet. The same call without the callback continues it.
 """
 
 from __future__ import annotations
@@ -23,47 +23,47 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunDescription:
-    """A run that begins, or goes on."""
+    """A run that begins, or continues."""
 
     name: str  # of the agent
     seed: int  # of the run
     key: str  # short hash of the identity
     identity: Mapping[str, Any]  # everything that decides its numbers, a JSON value
-    folder: Path | None  # of the run; None without one
+    folder: Path | None  # of the run, or None without one
     first: int  # primitives of the first row to come, 0 for a new run
     evaluations: tuple[Evaluation, ...] = ()  # made before it was resumed; empty for a new run
 
 
 class Callback:
-    """Base of callbacks, which does nothing: override what you want to be told."""
+    """Base of callbacks: override the events to receive; the methods do nothing by default."""
 
     def on_begin(self, run: RunDescription) -> bool | None:
-        """The run begins, or goes on from its checkpoint; True ends one that goes on."""
+        """Called when the run begins, or continues from its checkpoint; return True to end a run that continues."""
 
     def on_row(self, row: Mapping[str, Any]) -> None:
-        """A row of the log: an episode, a segment or an evaluation, as `log.jsonl` has it."""
+        """Called with each row of the log: an episode, a segment or an evaluation, as in `log.jsonl`."""
 
     def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
-        """An evaluation was made; True ends the run."""
+        """Called after an evaluation; return True to end the run."""
         return False
 
     def on_checkpoint(self, folder: Path) -> None:
-        """A checkpoint was written into the run's folder."""
+        """Called after a checkpoint was written into the run's folder."""
 
     def on_end(self, result: TrainResult | None) -> None:
-        """The run is over, with its result, or was interrupted: None. Nothing follows.
+        """Called last, with the result of the run, or with None after an interruption.
 
         An exception here is reported as a warning: the result is returned, and all other callbacks are called.
         """
 
 
 def list_numbers(row: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers of a row to be drawn: those under names with a slash."""
+    """Return the numbers of a row to plot, with a slash in their names."""
     return {name: value for name, value in row.items() if "/" in name and isinstance(value, (int, float))}
 
 
 def _load(package: str, extra: str, purpose: str) -> Any:
-    """Import a package of an extra; `MissingExtraError` where it is not installed."""
+    """Import a package of an extra, or raise `MissingExtraError`."""
     try:
         return importlib.import_module(package)
     except ImportError as error:
@@ -71,7 +71,7 @@ def _load(package: str, extra: str, purpose: str) -> Any:
 
 
 class TensorBoard(Callback):
-    """Event files in the run's folder, numbers against primitives; those from after a checkpoint are dropped.
+    """Event files in the run's folder, numbers against primitives; events after a checkpoint are dropped.
 
     Raises:
         MissingExtraError: at the beginning of a run, without the extra `tensorboard`.
@@ -96,7 +96,7 @@ class TensorBoard(Callback):
 
 
 class WeightsAndBiases(Callback):
-    """A run of Weights & Biases, offline unless told otherwise; `wandb sync` uploads it later.
+    """A run of Weights & Biases, offline by default; `wandb sync` uploads it later.
 
     Args:
         project: its name there.
@@ -111,7 +111,7 @@ class WeightsAndBiases(Callback):
         self.project, self.mode, self.folder = project, mode, folder
 
     def on_begin(self, run: RunDescription) -> None:
-        """Begin the run under the hash of its identity, or go on with it."""
+        """Begin the run under the hash of its identity, or continue it."""
         where = self.folder or run.folder
         self._run = _load("wandb", "wandb", "logging to Weights & Biases").init(
             project=self.project, mode=self.mode, dir=None if where is None else str(where), id=run.key,
@@ -174,14 +174,14 @@ class OptunaPruning(Callback):
         self.trial, self.is_pruned = trial, False
 
     def on_begin(self, run: RunDescription) -> bool:
-        """Report the evaluations made before the run was resumed; True where the trial should be pruned."""
+        """Report the evaluations from before the run was resumed; return True to prune the trial."""
         for evaluation in run.evaluations:
             self.trial.report(evaluation.mean_return, evaluation.primitives)
         self.is_pruned = bool(run.evaluations) and bool(self.trial.should_prune())
         return self.is_pruned
 
     def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
-        """Report the mean return at this many primitives; True where the trial should be pruned."""
+        """Report the mean return at this many primitives; return True to prune the trial."""
         self.trial.report(evaluation.mean_return, evaluation.primitives)
         self.is_pruned = bool(self.trial.should_prune())
         return self.is_pruned

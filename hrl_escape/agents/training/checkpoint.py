@@ -1,8 +1,8 @@
 """Checkpoints: a tree of numbers, strings and arrays in one `.npz` file, written whole or not at all.
 
-The arrays are npy members of a zip (each with its CRC-32), the tree's shape is JSON beside
-them. Nothing is pickled, and reading refuses pickles, so a checkpoint from a stranger cannot run code. Nothing is
-compressed either, so a checkpoint takes no more memory than its file has bytes, whatever it claims.
+The arrays are npy members of a zip, each with its CRC-32, and the tree's shape is a JSON member. Reading refuses
+pickles, so a checkpoint from a stranger cannot run code. Members are not compressed, so a checkpoint takes no more
+memory than its file has bytes.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ def save_checkpoint(path: str | os.PathLike[str], state: StateTree) -> None:
     """Write a state tree atomically.
 
     Args:
-        path: the file, by custom ending in `.npz`; its folder must be there.
+        path: the file, by custom ending in `.npz`; its folder must exist.
         state: dicts (keys are strings), lists, tuples (which come back as lists), None, bool, int, float, str, numpy
             arrays and numbers, and anything with `.detach().cpu().numpy()`, such as a torch tensor.
 
     Raises:
-        FileWriteError: full disk, or a folder that cannot be written.
-        TypeError: the tree holds something else; the message says where.
+        FileWriteError: the disk is full, or the folder cannot be written.
+        TypeError: the tree holds another type; the message names its place.
     """
     arrays: dict[str, np.ndarray] = {}
     tree = _pack(state, "state", arrays)
@@ -57,10 +57,10 @@ def drop_experience(state: StateTree) -> StateTree:
 
 
 def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
-    """Read a state tree, bit for bit as `save_checkpoint` took it.
+    """Read a state tree, equal to the argument of `save_checkpoint` to the last bit.
 
     Raises:
-        FileReadError: there is no such file, or it may not be read.
+        FileReadError: no such file, or it cannot be read.
         CheckpointError: the file is truncated, damaged or something else.
     """
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")  # bytes of this machine
@@ -76,12 +76,12 @@ def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
         except Exception as error:  # damaged bytes make the readers of zip, npy and JSON raise almost anything
             raise CheckpointError(
                 f"{os.fspath(path)}: this checkpoint is damaged or is something else ({describe_damage(error)}). "
-                "Delete it to start the run anew, or restore it from a copy"
+                "Delete it to start the run again, or restore it from a copy"
             ) from error
 
 
 def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """Read one array, whose claimed size must be that of its bytes in the file."""
+    """Read one array, and check its claimed size against its bytes in the file."""
     if member.compress_type != zipfile.ZIP_STORED:
         raise ValueError(f"{member.filename} is compressed, which checkpoints are not")
     with archive.open(member) as file:

@@ -1,17 +1,17 @@
-"""Descriptions of environments as JSON: a run's folder keeps one, by which it is recognised and made again.
+"""Descriptions of environments as JSON: a run's folder keeps one, to identify the environment and make it again.
 
 A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
-environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, and
-wrappers by Gymnasium's `RecordConstructorArgs`. Without these, arguments are read from the attributes that bear their
-names, as in `self.size = size`. An argument that is an object, such as an option, is described by its class, its name
-and a hash of what it holds: what its own `describe` gives, or its `state_dict` (an agent, a network), or its public
-values. What it gives as `origin` is kept in clear: of a learned option, the run in which it was learned.
+environment can return its arguments by a `describe` method. Others are described by their Gymnasium spec, and wrappers
+by Gymnasium's `RecordConstructorArgs`. Otherwise arguments are read from the attributes with their names, as in
+`self.size = size`. An argument that is an object, such as an option, is described by its class, its name and a hash of
+its content: its own `describe`, or its `state_dict` (an agent, a network), or its public values. Its `origin` is kept
+in clear: of a learned option, the run that trained it.
 
-A folder from a stranger runs none of his own code, unless its description is trusted. The names in it, `module:name`,
-are looked up in tables, and nothing is imported to find out: this package's environments, wrappers and settings; the
-wrappers of Gymnasium that only compute, and the environments registered with it; and what installed packages list as
-entry points of the group `hrl_escape.parts`. An entry point's name is free; its value is the `module:name` that
-descriptions give, such as `doubled = "my_package.wrappers:Doubled"`.
+A folder runs no code of its own, unless its description is trusted. The names in it, `module:name`, are looked up in
+tables, without an import: this package's environments, wrappers and settings; the wrappers of Gymnasium that only
+compute, and the environments registered with it; and the entry points of installed packages in the group
+`hrl_escape.parts`. An entry point's name is free. Its value is the `module:name` in descriptions, such as
+`doubled = "my_package.wrappers:Doubled"`.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, d
 from hrl_escape.settings import Settings
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection)
-"""Wrappers that change no number; others say so by the attribute `is_passive`."""
+"""Wrappers that change no number; other such wrappers have the attribute `is_passive`."""
 UNKNOWN = {"unknown": True}
-"""Stands for an argument that no attribute keeps."""
+"""Placeholder for an argument that no attribute keeps."""
 PARTS_GROUP = "hrl_escape.parts"
-"""Entry points of other packages: environments, wrappers, settings and functions that run folders may name."""
+"""Entry points of other packages: environments, wrappers, settings and functions that run folders can name."""
 
 MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
@@ -73,7 +73,7 @@ OWN = frozenset({
     "hrl_escape.hierarchies.hierarchy_env:HierarchyEnv",
     "hrl_escape.text.text_env:TextEnv",
 })
-"""Parts of this package, each imported when it is asked for."""
+"""Parts of this package, imported on first use."""
 
 _COMPUTING = (
     standard.AddRenderObservation, standard.AddWhiteNoise, standard.AtariPreprocessing, standard.Autoreset,
@@ -85,24 +85,24 @@ _COMPUTING = (
     standard.ResizeObservation, standard.StickyAction, standard.TimeAwareObservation, standard.TimeLimit,
     standard.TransformAction, standard.TransformObservation, standard.TransformReward,
 )
-"""Wrappers of Gymnasium that write no file and open no window."""
+"""Wrappers of Gymnasium that neither write files nor open windows."""
 
 
 @runtime_checkable
 class DescribedEnv(Protocol):
-    """Environment, or an argument of one, that gives the arguments by which an equal one is made."""
+    """Environment, or an argument of one, that returns the arguments to make an equal one."""
 
     def describe(self) -> Mapping[str, Any]:
-        """Return the arguments that decide its numbers, as JSON values.
+        """Return the arguments that determine its numbers, as JSON values.
 
-        A large argument may be `{"id": hash, "content": value}`: runs are then compared by the hash alone, and the
+        A large argument can be `{"id": hash, "content": value}`: runs are then compared by the hash alone, and the
         environment is made again from the value.
         """
         ...
 
 
 def describe_env(env: gymnasium.Env) -> dict[str, Any]:
-    """Description of an environment, a JSON value."""
+    """Return the description of an environment, a JSON value."""
     wrappers = []
     while isinstance(env, gymnasium.Wrapper):
         if not isinstance(env, PASSIVE_WRAPPERS) and not getattr(env, "is_passive", False):
@@ -119,14 +119,14 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
 
 
 def check_spec(spec: AgentSpec, env: gymnasium.Env) -> None:
-    """Require that an environment's options, memory and hierarchy are those of an agent's spec.
+    """Require that an environment's options, memory and hierarchy agree with an agent's spec.
 
     Args:
-        spec: options that it leaves at their defaults are not checked, but for the primitives among the choices.
-        env: ordinary environment in which the agent trains; one of another package may have options of its own.
+        spec: options that it leaves at their defaults are not checked, except primitives among the choices.
+        env: ordinary environment for training; one of another package can have options of its own.
 
     Raises:
-        AgentSettingsError: they disagree; the message gives both ways out.
+        AgentSettingsError: they disagree; the message gives both solutions.
     """
     found: dict[str, Any] = {}
     for part in describe_env(env)["wrappers"]:
@@ -153,14 +153,14 @@ def check_spec(spec: AgentSpec, env: gymnasium.Env) -> None:
 
 
 def _over_options(spec: AgentSpec, has_primitives: bool) -> str:
-    """Spec of the same agent over options, with or without primitives."""
+    """Return the spec of the same agent over options, with or without primitives."""
     name = join_name(spec.algorithm, True)
     options = dataclasses.replace(spec.options, include_primitives=has_primitives)
     return str(dataclasses.replace(spec, name=name, label="", options=options))
 
 
 def _write_needed(spec: AgentSpec, wanted: Mapping[str, Any]) -> str:
-    """Text that makes the environment of a spec."""
+    """Return code that makes the environment of a spec."""
     if spec.low_level is None and not spec.options.include_primitives:
         wanted = {"include_primitives": False, **wanted}
     arguments = "".join(f", {name}={value!r}" for name, value in wanted.items() if name != "memory")
@@ -169,7 +169,7 @@ def _write_needed(spec: AgentSpec, wanted: Mapping[str, Any]) -> str:
 
 
 def describe_many(env: Any) -> dict[str, Any]:
-    """Description of a vector environment, or of streams, a JSON value; it is compared, and made by nobody."""
+    """Return the description of a vector environment, or of `ManyEnvs`, a JSON value for comparison only."""
     wrappers = []
     while isinstance(env, VectorWrapper):
         wrappers.append(name_part(type(env)))
@@ -185,12 +185,12 @@ def make_described_env(description: Mapping[str, Any], wrap: Callable[[gymnasium
 
     Args:
         description: from `describe_env`.
-        wrap: applied to the innermost environment, below its wrappers.
-        trust: also import and call what is in no table of known parts; the description then runs any code it names.
+        wrap: function that is applied to the innermost environment, below its wrappers.
+        trust: also import and call unknown parts; the description then runs any code that it names.
 
     Raises:
-        TrustError: it names other code, and is not trusted; nothing was imported.
-        CheckpointError: the description is damaged, or does not suffice to make the environment.
+        TrustError: it names other code, and is not trusted; no module was imported.
+        CheckpointError: the description is damaged or incomplete.
     """
     try:
         if not trust and (foreign := list_foreign(description)):
@@ -213,7 +213,7 @@ def list_foreign(description: Any) -> list[Any]:
 
 
 def hash_large_parts(value: Any, kinds: type | tuple[type, ...] = object) -> Any:
-    """Copy of a JSON value in which the hash of a large argument, whose content is of some kind, stands for it."""
+    """Copy a JSON value, and replace large arguments whose content is of some kind by their hash."""
     if isinstance(value, Mapping):
         if value.keys() == {"id", "content"} and isinstance(value["content"], kinds):
             return value["id"]
@@ -222,13 +222,13 @@ def hash_large_parts(value: Any, kinds: type | tuple[type, ...] = object) -> Any
 
 
 def compute_digest(value: Any) -> str:
-    """Short hash of a JSON value: 8 hexadecimal digits of SHA-256 over its canonical form."""
+    """Return a short hash of a JSON value: 8 hexadecimal digits of SHA-256 over its canonical form."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
 def _list_names(value: Any) -> Iterator[Any]:
-    """Names of the code by which a described value is made; `_revive` makes it."""
+    """Names of the code that makes a described value, see `_revive`."""
     if isinstance(value, list):
         for part in value:
             yield from _list_names(part)
@@ -243,10 +243,10 @@ def _list_names(value: Any) -> Iterator[Any]:
 
 
 def load_part(name: Any, trust: bool) -> Any:
-    """The class or function that a name, `module:name`, stands for.
+    """Return the class or function of a name, `module:name`.
 
     Raises:
-        TrustError: it is in no table of known parts, and is not trusted; nothing was imported.
+        TrustError: it is in no table of known parts, and is not trusted; no module was imported.
     """
     load = find_part(name)
     if load is None and not trust:
@@ -274,7 +274,7 @@ def _make_part(description: Mapping[str, Any], kind: type, trust: bool, *inner: 
 
 
 def _read_arguments(part: Any) -> dict[str, Any]:
-    """Arguments of an environment or a wrapper, from the attributes that bear their names, with or without `_`."""
+    """Return the arguments of an environment or a wrapper, from attributes with their names, with or without `_`."""
     arguments: dict[str, Any] = {}
     for parameter in inspect.signature(type(part)).parameters.values():
         held = [vars(part)[name] for name in (parameter.name, f"_{parameter.name}") if name in vars(part)]
@@ -284,7 +284,7 @@ def _read_arguments(part: Any) -> dict[str, Any]:
 
 
 def _make_plain(value: Any) -> Any:
-    """JSON value of an argument; functions are named, other objects named and hashed."""
+    """Convert an argument to a JSON value; functions are named, other objects named and hashed."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, (np.generic, np.ndarray)):
@@ -321,7 +321,7 @@ def _describe_object(value: Any, fields: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _list_code(function: Any) -> dict[str, Any]:
-    """Code and bound values of a function that no module holds by name, such as a lambda."""
+    """Return code and bound values of a function without a name in its module, such as a lambda."""
     code = getattr(function, "__code__", None)
     if code is None:
         return {"name": name_part(function)}
@@ -331,7 +331,7 @@ def _list_code(function: Any) -> dict[str, Any]:
 
 
 def _list_instructions(code: Any) -> list[Any]:
-    """Instructions of code with the names and constants that they use, and those of functions made in it."""
+    """Return instructions of code with their names and constants, including functions made in it."""
     constants = [_list_instructions(each) if inspect.iscode(each) else _make_plain(each) for each in code.co_consts]
     return [code.co_code.hex(), list(code.co_names), constants]
 
@@ -364,16 +364,16 @@ def _revive(value: Any, trust: bool) -> Any:
     return {name: _revive(part, trust) for name, part in value.items()}
 
 
-# --- code that a description may name ---------------------------------------------------
+# --- code that a description can name ---------------------------------------------------
 
 
 def name_part(part: Any) -> str:
-    """Name of a class or function in descriptions, `module:name`."""
+    """Return the name of a class or function in descriptions, `module:name`."""
     return f"{part.__module__}:{part.__qualname__}"
 
 
 def find_part(name: Any) -> Callable[[], Any] | None:
-    """Loader of the part of a name; None where the name is not known. Nothing is imported to answer."""
+    """Return the loader of a name's part, or None if the name is not known. It imports no module."""
     return next((load for known, load in _list_parts() if known == name), None)
 
 

@@ -1,6 +1,6 @@
 """Evaluation of frozen weights on fixed episode seeds, repeatable to the last bit.
 
-Nothing here learns or explores. Returns are undiscounted sums of primitive rewards; lengths are
+Evaluation neither learns nor explores. Returns are undiscounted sums of primitive rewards; lengths are
 given in primitives and in decisions, which differ by the options' durations.
 """
 
@@ -29,7 +29,7 @@ from hrl_escape.agents.agent import (
 from hrl_escape.step_info import read_share
 
 LONGEST_EPISODE = 100_000
-"""Primitives after which an episode ends that has no time limit."""
+"""Most primitives of an episode without a time limit."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Evaluation:
     returns: tuple[float, ...]  #: undiscounted return of each episode
     lengths: tuple[int, ...]  #: primitives of each episode
     decision_counts: tuple[int, ...]  #: decisions of each episode
-    successes: tuple[bool | None, ...]  #: whether each succeeded; None where the environment reports no success
+    successes: tuple[bool | None, ...]  #: whether each succeeded, or None if the environment reports no success
     progress: tuple[float | None, ...]
     """Share of the task done at best in each: the largest `info["progress"]` if given, else its success."""
     seconds: float = field(default=0.0, compare=False)  #: wall time; left out of comparisons between results
@@ -58,12 +58,12 @@ class Evaluation:
 
     @property
     def success_rate(self) -> float | None:
-        """Share of episodes that succeeded, of those that report it; None where none does."""
+        """Share of episodes that succeeded, of those that report it, or None if none does."""
         return _compute_reported_mean(self.successes)
 
     @property
     def mean_progress(self) -> float | None:
-        """Mean over episodes of the most progress in each, 0 to 1; None where none reports any."""
+        """Mean over episodes of the most progress in each, 0 to 1, or None if none reports any."""
         return _compute_reported_mean(self.progress)
 
     @property
@@ -105,7 +105,7 @@ def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: in
                  ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode from `reset(seed=seed)`, yielding each transition with its `info`.
 
-    The seed also fixes the draws of a policy that is random by nature. The episode stops at `max_primitives` at the
+    The seed also fixes the draws of a stochastic policy. The episode stops at `max_primitives` at the
     latest.
     """
     policy, primitives = agent.make_policy(), 0
@@ -122,7 +122,7 @@ def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
                  choose: Callable[[Any, NDArray[np.bool_]], int]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Step through one episode from `reset(seed=seed)`, yielding each transition at this gamma with its `info`.
 
-    `choose` is asked for each action, (observation, action mask) -> action, once the decision before it was dealt with.
+    `choose` maps (observation, action mask) to an action. It is called after the previous decision was yielded.
     """
     set_option_discount(env, gamma)
     observation, info = env.reset(seed=seed)
@@ -150,8 +150,8 @@ def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, pri
         primitives: primitives trained for, kept with the result.
         decisions: decisions trained for, kept with the result.
         max_primitives: longest episode in an environment without a time limit.
-        trials: parts of an episode that count as episodes of their own, such as the floors of a tower, whose number
-            `info["trial"]` is. One that an episode does not come to is a failure of no length.
+        trials: parts of an episode that count as episodes of their own, such as the rooms of a sequence, numbered by
+            `info["trial"]`. A trial that an episode does not reach is a failure of no length.
     """
     started = time.perf_counter()
     sums = [each for episode in range(episodes)
@@ -161,7 +161,7 @@ def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, pri
 
 def evaluate_trials(agent: Agent, env: gymnasium.Env, episodes: int, trials: int, seed: int = 0, primitives: int = 0,
                     decisions: int = 0, after_episode: Callable[[], object] = lambda: None) -> tuple[Evaluation, ...]:
-    """Evaluate each trial of episodes that have several, as those of a `SequenceEnv`; arguments as for `evaluate`."""
+    """Evaluate each trial of episodes with several, as in a `SequenceEnv`; arguments as for `evaluate`."""
     sums = []
     for episode in range(episodes):
         sums.append(_sum_trials(agent, env, seed, episode, trials))
@@ -175,7 +175,7 @@ class _Sums:
     def __init__(self) -> None:
         self.total, self.length, self.count = 0.0, 0, 0
         self._progress: float | None = None
-        self._info: Mapping[str, Any] = {"is_success": False}  # of a trial that the episode does not come to
+        self._info: Mapping[str, Any] = {"is_success": False}  # of a trial that the episode does not reach
 
     def add(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
         """Count a decision's reward, primitives and progress."""

@@ -1,12 +1,12 @@
-"""One training run in many streams: segments of steps, their totals, and checkpoints of the running episodes.
+"""One training run in many environments: segments of steps, their totals, and checkpoints of the running episodes.
 
-Streams that can write their episodes down are saved with the run at any time. All others begin anew at an evaluation,
-and the run is saved only there, so that it resumes to the same bits either way.
+Environments that can save their episodes are saved with the run at any time. All others begin their episodes again at
+an evaluation, and the run is saved only there. Both resume to the same bits.
 
-Vector environments of Gymnasium become streams here, with each of the three kinds of automatic reset. The state that an
-episode ended in is a decision's outcome, never the first observation of the next one. Where the environment cannot give
-its episodes, their actions stand for them, which a resumed run makes again; so that this takes little time, all
-episodes begin anew at the first evaluation after `REMADE` actions.
+Vector environments of Gymnasium are adapted here, with each of the three kinds of automatic reset. The last state of an
+episode is a decision's outcome, never the first observation of the next one. If the environment cannot save its
+episodes, their actions are saved, and a resumed run replays them. To keep this short, all episodes begin again at the
+first evaluation after `REMADE` actions.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ from hrl_escape.errors import CheckpointError, DiscountMismatchError, StepContra
 from hrl_escape.step_info import CHANGED, FLOAT32_ROUNDING
 
 REMADE = 200_000
-"""Most actions, of all streams together, that stand for running episodes."""
+"""Most actions, of all environments together, that are saved in place of running episodes."""
 
 
 class VectorManyEnvs:
-    """Streams of a vector environment, one decision of each a step.
+    """Many environments of a vector environment, with one decision of each a step.
 
-    `infos` may hold what `make_transition` reads of `info`, as arrays: `action_mask`, and for decisions of several
+    `infos` can hold the keys that `make_transition` reads, as arrays: `action_mask`, and for decisions of several
     primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `is_success`, else `success`, at the
-    end of an episode. An array `_action_mask`, bool (environments,), and so on, says whose entries count; in an
+    end of an episode. An array `_action_mask`, bool (environments,), and so on, marks the valid entries; in an
     environment without a mask every action is legal. Wrappers of the vector environment act on every step.
 
     Args:
@@ -76,8 +76,8 @@ class VectorManyEnvs:
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
-        self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers may have a state, too
-        self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (streams,) each
+        self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers can have a state, too
+        self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (envs,) each
         set_option_discount(env, gamma)
 
     @property
@@ -87,11 +87,11 @@ class VectorManyEnvs:
 
     @property
     def is_waiting(self) -> Tensor:
-        """All streams but those that reset in the next step, bool (streams,)."""
+        """Environments that do not reset in the next step, bool (environments,)."""
         return ~self._was_over
 
     def reset(self, seeds: int) -> None:
-        """Begin all episodes anew."""
+        """Begin all episodes again."""
         self._made = []
         observation, infos = self._env.reset(seed=seeds)
         self.observation = self._take(observation)
@@ -99,7 +99,7 @@ class VectorManyEnvs:
         self._was_over = torch.zeros(self.count, dtype=torch.bool, device=self.device)
 
     def step(self, action: Tensor) -> EndedDecisions:
-        """Run one decision in every stream, or the reset that takes its place."""
+        """Run one decision in every environment, or the reset in its place."""
         before, where = self.observation, self.is_waiting
         if not self._gives_episodes and len(self._made) * self.count <= REMADE:
             self._made.append(action.cpu().numpy().astype(np.min_scalar_type(self._actions)))
@@ -139,16 +139,16 @@ class VectorManyEnvs:
         return tensor
 
     def _replace(self, batch: Tensor, values: Any, where: Tensor) -> Tensor:
-        """Copy of a batch with some rows of another, which may be an array of arrays and None."""
+        """Copy of a batch with some rows of another, which can be an array of arrays and None."""
         rows = where.nonzero().squeeze(1)
         new = values[rows] if isinstance(values, Tensor) else torch.from_numpy(
             np.stack([np.asarray(values[row]) for row in rows.tolist()]))
         return batch.index_copy(0, rows, new.to(self.device, batch.dtype))
 
     def _read(self, infos: Mapping[str, Any], name: str) -> tuple[Tensor, Tensor] | None:
-        """Numbers of a key (environments, ...), and which environments give them, bool (environments,).
+        """Return the numbers of a key (environments, ...), and a mask of valid entries, bool (environments,).
 
-        None where the key is absent, or something else than numbers.
+        None if the key is absent or does not hold numbers.
         """
         given = infos.get(name)
         if given is None or isinstance(given, Mapping):
@@ -173,7 +173,7 @@ class VectorManyEnvs:
         return values.to(self.device), gives.to(self.device)
 
     def _read_masks(self, infos: Mapping[str, Any], rows: Tensor) -> Tensor:
-        """Legal actions, bool (environments, actions); all of them where an environment gives no mask.
+        """Return the legal actions, bool (environments, actions); all actions if an environment has no mask.
 
         Args:
             infos: of a step, a reset, or the ends of episodes.
@@ -200,11 +200,11 @@ class VectorManyEnvs:
                       over: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Duration k, sum of rewards and R of each environment's decision; see `read_payment`.
 
-        `final` holds those of decisions that ended an episode.
+        `final` holds the values of decisions that ended an episode.
         """
         if paid.shape != (self.count,):
             raise StepContractError(f"rewards have shape {tuple(paid.shape)}; {self.count} environments need one "
-                                    "number each. Where an environment returns several, weigh them in a wrapper below")
+                                    "number each. For several rewards, weigh them in a wrapper below")
         if paid.device.type == "cpu" and not bool((paid.isfinite() | ~where).all()):
             raise StepContractError(f"a reward is {float(paid[where & ~paid.isfinite()][0])}; rewards must be finite "
                                     "numbers")
@@ -235,7 +235,7 @@ class VectorManyEnvs:
 
     def _check_rewards(self, paid: Tensor, summed: Tensor, discounted: Tensor, duration: Tensor, rows: Tensor,
                        parts: Sequence[tuple[Tensor, Tensor] | None]) -> tuple[Tensor, Tensor]:
-        """Put in the sums that decisions of some rows give, and refuse rewards that are neither of the two."""
+        """Insert the sums of decisions in some rows, and check that rewards equal one of the two."""
         (of_r, _), (of_gamma, _) = (part for part in parts[:2] if part is not None)
         power = torch.as_tensor(self.gamma, dtype=torch.float64, device=paid.device) ** duration
         rounding = FLOAT32_ROUNDING * duration
@@ -262,9 +262,9 @@ class VectorManyEnvs:
         return (reward.double() - paid).abs() <= rounding * paid.abs()
 
     def _read_success(self, infos: Mapping[str, Any], over: Tensor) -> Tensor:
-        """Success as `read_success` reads it of each stream whose episode ended, int8 (streams,); -1 where it is None.
+        """Success of each environment whose episode ended, see `read_success`, int8 (environments,); -1 for None.
 
-        `infos` holds the streams' last steps.
+        `infos` holds the infos of their last steps.
         """
         success = torch.full_like(over, -1, dtype=torch.int8)
         for name in reversed(SUCCESS_KEYS):
@@ -286,7 +286,7 @@ class VectorManyEnvs:
     # --- checkpoints -----------------------------------------------------------------------
 
     def state_dict(self) -> StateTree | None:
-        """Running episodes, or the actions that they came of; None after too many of these."""
+        """Running episodes, or the actions that led to them, or None after too many actions."""
         env: Any = self._env.unwrapped
         if self._gives_episodes:
             return {"env": dict(env.state_dict()), "observation": self.observation, "action_mask": self.action_mask,
@@ -296,7 +296,7 @@ class VectorManyEnvs:
         return {"made": np.array(self._made).reshape(-1, self.count), "observation": self.observation}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken, after a `reset` with the same seeds, or raise `CheckpointError`."""
+        """Restore the state of `state_dict` after a `reset` with the same seeds, or raise `CheckpointError`."""
         env: Any = self._env.unwrapped
         if self._gives_episodes:
             env.load_state_dict(state["env"])
@@ -307,7 +307,7 @@ class VectorManyEnvs:
         for actions in np.asarray(state["made"]):
             self.step(torch.from_numpy(actions.astype(np.int64)).to(self.device))
         if not np.array_equal(self.observation.cpu().numpy(), np.asarray(state["observation"]), equal_nan=True):
-            raise CheckpointError("the environments do not do the same again for equal seeds and actions")
+            raise CheckpointError("the environments are not deterministic: a replay of seeds and actions differs")
 
 
 def _make_array(value: Any) -> NDArray[Any]:
@@ -319,10 +319,10 @@ def _make_array(value: Any) -> NDArray[Any]:
 
 
 def make_many_envs(env: VectorEnv | ManyEnvs, gamma: float) -> ManyEnvs:
-    """The streams of a vector environment: its own, or one decision of each a step; streams stay as they are.
+    """The many environments of a vector environment: its own, or one decision of each a step; others do not change.
 
     A wrapped vector environment is stepped through its wrappers, all decisions side by side, even if the environment
-    inside has streams of its own.
+    inside is a `ManyEnvs` itself.
     """
     inner: Any = env
     if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_streams")):
@@ -333,13 +333,13 @@ def make_many_envs(env: VectorEnv | ManyEnvs, gamma: float) -> ManyEnvs:
 
 
 SEGMENT_PRIMITIVES, SEGMENT_STEPS = 16_384, 16
-"""Size of a segment, a row of the log: primitives run in all streams together, and least steps."""
+"""Size of a segment, a row of the log: primitives of all environments together, and fewest steps."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt
 _KEPT = 1 << 30  # bytes
 
 
 class ManyEnvsRun(Run):
-    """A run whose unit is a segment: a fixed number of steps of all streams."""
+    """A run in units of segments: a fixed number of steps of all environments."""
 
     def __init__(self, agent: Agent, env: VectorEnv | ManyEnvs, eval_env: gymnasium.Env, arguments: RunArguments,
                  callbacks: Sequence[Callback] = ()) -> None:
@@ -354,7 +354,7 @@ class ManyEnvsRun(Run):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Streams beside the environment of evaluations, which stands for them when the run is shown or loaded."""
+        """Identity of the environments and the evaluation environment, which represents them in a loaded run."""
         return super().identity | {"streams": describe_many(self._source)}
 
     def _begin(self) -> None:
@@ -370,7 +370,7 @@ class ManyEnvsRun(Run):
 
     @property
     def can_be_saved(self) -> bool:
-        """True at any time where streams can be written down, else just after all episodes began anew, or ended."""
+        """True if environments can save their episodes, or all episodes have just begun again, or the run is over."""
         return self._is_fresh or self.is_over or self.streams.state_dict() is not None
 
     def _evaluate(self, folder: RunFolder | None) -> None:
@@ -402,13 +402,13 @@ class ManyEnvsRun(Run):
         return self.end_segment(tally.take_row(), means, started, before)
 
     def state_dict(self) -> StateTree:
-        """Streams and their sums beside the agent and the totals."""
+        """Environments and their sums, in addition to the agent and the totals."""
         return super().state_dict() | {"streams": None if self.is_over else self.streams.state_dict(),
                                        "begun": self._begun, "tally": self._tally.state_dict(),
                                        "masks": self._masks.cpu().numpy()}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore the state of `state_dict`."""
         super().load_state_dict(state)
         self._begun = int(state["begun"])
         self._reset_streams()
@@ -416,7 +416,7 @@ class ManyEnvsRun(Run):
             try:
                 self.streams.load_state_dict(state["streams"])
             except CheckpointError as error:
-                warnings.warn(f"{error}: all episodes begin anew, so the run does not resume to the same bits",
+                warnings.warn(f"{error}: all episodes begin again, so the run does not resume to the same bits",
                               stacklevel=2)
                 self._begin()
                 return
@@ -427,7 +427,7 @@ class ManyEnvsRun(Run):
 class _Tally(Stateful):
     """Returns and lengths of running episodes, and sums over those that ended, on the device.
 
-    The sums are empty between segments, so that the state is that of the running episodes.
+    The sums are empty between segments, so the state is the state of the running episodes.
     """
 
     STATE = ("_running",)
@@ -460,8 +460,8 @@ class _Tally(Stateful):
 def keep_freed_memory() -> None:
     """Let this process keep up to 1 GiB of freed memory for the next block of its size.
 
-    glibc gives blocks of some megabytes back to the system as soon as they are freed, so that each minibatch of many
-    streams pays for fresh, zeroed pages. What is computed does not depend on it. Other C libraries are left alone.
+    glibc gives blocks of some megabytes back to the system when they are freed, and each minibatch of many environments
+    would pay for fresh, zeroed pages. Results do not depend on it. Other C libraries are left alone.
     """
     if sys.platform != "linux":
         return

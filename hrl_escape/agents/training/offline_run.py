@@ -1,6 +1,6 @@
 """One training run from a data set: sweeps or minibatches in place of episodes; folder, evaluations and result stay.
 
-Primitives are counted as they are learned from, so that one pass over a data set of 10^5 counts 10^5.
+Primitives are counted when they are learned from: one pass over a data set of 10^5 counts 10^5.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class OfflineRun(Run):
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The data set beside the environment of evaluations."""
+        """The data set, in addition to the environment of evaluations."""
         return super().identity | {"data": self._identity}
 
     @property

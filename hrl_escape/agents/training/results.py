@@ -1,7 +1,7 @@
 """Results of a training run: episodes, evaluations, totals, and the rows of its log.
 
-Everything here is plain data that goes to JSON and back without loss. Fields that depend on the
-wall clock take no part in equality, so two results are equal if all that learning decides is equal, bit for bit.
+Results are plain data that JSON stores without loss. Fields that depend on the
+wall clock are excluded from equality: two results are equal if all results of learning are equal, bit for bit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ METRICS = {
     "train/length": "primitives in a training episode",
     "train/decisions": "decisions in a training episode",
     "train/success": "1 if the episode succeeded, else 0; absent where the environment reports no success",
-    "train/episodes": "episodes that ended in a segment of training in many streams",
+    "train/episodes": "episodes that ended in a segment of training in many environments",
     "train/successes": "episodes that ended in a segment with success; absent where none of them reports it",
     "train/end": "how the episode ended: terminated, truncated, or budget where the run's budget cut it",
     "train/loss": "mean loss of the updates in the episode",
@@ -41,7 +41,7 @@ METRICS = {
     "train/value_loss": "half the squared error of the values of ppo, dac, ppoc and a2oc, in scaled rewards",
     "train/high_loss": "loss of dac's choice of options",
     "train/high_policy_loss": "clipped objective of dac's choice of options, negated",
-    "train/high_value_loss": "half the squared error of the values by which dac chooses options, in scaled rewards",
+    "train/high_value_loss": "half the squared error of dac's values of options, in scaled rewards",
     "train/choice_loss": "loss of ppoc's policy over options",
     "train/choice_entropy": "mean entropy of dac's and ppoc's choice of options, in nats",
     "train/termination_loss": "loss of the terminations of ppoc and a2oc",
@@ -58,7 +58,7 @@ METRICS = {
     "train/interventions": "bits that hrc has intervened on",
     "train/intervention_cost": "cost of hrc's search so far, see its page",
     "train/termination": "mean probability that the running option ends",
-    "train/skill_reward": "mean reward of diayn's skills for being told apart, in nats",
+    "train/skill_reward": "mean reward of diayn's skills for being distinguishable, in nats",
     "train/discriminator_loss": "cross entropy of diayn's discriminator",
     "train/option_duration": "mean decisions that a learned option lasts, over its latest 500 runs",
     "train/option_entropy": "entropy of the learned option that acts, in nats, over the same runs",
@@ -92,7 +92,7 @@ class EpisodeRecord:
     decisions: int  # decisions trained for, at its end
     episode_return: float  # undiscounted sum of primitive rewards
     length: int  # primitives in it
-    success: bool | None  # info["is_success"], else info["success"], at its end; None where it has neither
+    success: bool | None  # info["is_success"], else info["success"], at its end, or None if it has neither
     end: str  # `terminated`, `truncated`, or `budget` where the run's budget cut it
     seconds: float = field(compare=False)
     """Seconds of training at its end, without evaluations; left out of comparisons."""
@@ -100,20 +100,20 @@ class EpisodeRecord:
 
 @dataclass(frozen=True)
 class SegmentRecord:
-    """A stretch of training in many streams, with the episodes that ended in it."""
+    """A segment of training in many environments, with the episodes that ended in it."""
 
-    primitives: int  # primitives trained for, at its end, of all streams together
+    primitives: int  # primitives trained for, at its end, of all environments together
     decisions: int  # decisions trained for, at its end
     episodes: int  # episodes that ended in it
-    successes: int | None  # of these episodes; None where none of them reports its success
-    mean_return: float | None  # their mean undiscounted return; None where none ended
-    mean_length: float | None  # their mean number of primitives; None where none ended
+    successes: int | None  # of these episodes, or None if none of them reports its success
+    mean_return: float | None  # their mean undiscounted return, or None if none ended
+    mean_length: float | None  # their mean number of primitives, or None if none ended
     seconds: float = field(compare=False)
     """Seconds of training at its end, without evaluations; left out of comparisons."""
 
 
 def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
-    """Row of the log for an evaluation."""
+    """Make the row of the log for an evaluation."""
     return {
         "kind": "evaluation",
         "primitives": evaluation.primitives,
@@ -129,7 +129,7 @@ _OPTIONAL = frozenset({"train/success", "train/successes", "eval/success", "eval
 
 
 def omit_absent(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Copy of a row without the success and progress of episodes that report none."""
+    """Copy a row without the success and progress of episodes that report none."""
     return {name: value for name, value in row.items() if name not in _OPTIONAL or value is not None and (
         not isinstance(value, tuple) or any(each is not None for each in value))}
 
@@ -147,15 +147,15 @@ _ROWS: dict[str, tuple[type, dict[str, str]]] = {
         "decision_counts": "eval/decision_counts", "successes": "eval/successes", "progress": "eval/progress",
         "seconds": "time/eval_seconds"}),
 }
-"""Kind of a row -> what it tells of, and the name in the row of each field."""
+"""Kind of a row -> its subject, and the name in the row of each field."""
 
 
 def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluation:
-    """Episode, segment or evaluation from a row of the log.
+    """Convert a row of the log to an episode, a segment or an evaluation.
 
     Raises:
         KeyError: the row lacks a name.
-        ConfigError: a value is not possible.
+        ConfigError: a value is invalid.
     """
     kind, names = _ROWS[row["kind"]]
     fields = {field: row.get(name) if name in _OPTIONAL else row[name] for field, name in names.items()}
@@ -174,18 +174,18 @@ class TrainResult:
     agent_name: str  #: registered name of the agent, or the name of its class
     seed: int  #: of the run
     settings: Mapping[str, Any]  #: of the agent, as a JSON value
-    primitives: int  #: trained for; a last option may carry it beyond the budget
+    primitives: int  #: trained for; the last option can exceed the budget
     decisions: int  #: trained for
     planner_calls: int
     """Requests to planners behind options, by `OptionsEnv.planning_total`; 0 where the environment is a vector."""
     evaluations: tuple[Evaluation, ...]  #: the first before training, the last after it
-    episodes: tuple[EpisodeRecord, ...]  #: every training episode; none in a run of many streams
+    episodes: tuple[EpisodeRecord, ...]  #: every training episode; none in a run of many environments
     seconds: float = field(compare=False)  #: wall time of training, evaluations excluded
     planner_seconds: float = field(compare=False)  #: share of it spent in planners
-    segments: tuple[SegmentRecord, ...] = ()  #: stretches of training, in a run of many streams
+    segments: tuple[SegmentRecord, ...] = ()  #: segments of training, in a run of many environments
     agent: Agent | None = field(default=None, compare=False, repr=False)
-    """The trained agent; None in a result read from a file."""
-    folder: Path | None = field(default=None, compare=False)  #: of the run; None where it left no files
+    """The trained agent, or None in a result read from a file."""
+    folder: Path | None = field(default=None, compare=False)  #: of the run, or None if it left no files
     resumed_at: int = field(default=0, compare=False)  #: primitives that its folder held already; 0 in a new run
 
     def __repr__(self) -> str:
@@ -211,16 +211,16 @@ class TrainResult:
 
     @property
     def first_escape(self) -> int | None:
-        """Primitives trained for at the end of the first episode that succeeded; None without one.
+        """Primitives trained for at the end of the first episode that succeeded, or None without one.
 
-        In many streams it is the end of the segment in which it did.
+        With many environments it is the end of the segment of that episode.
         """
         if self.segments:
             return next((segment.primitives for segment in self.segments if segment.successes), None)
         return next((episode.primitives for episode in self.episodes if episode.success), None)
 
     def curve(self, metric: str = "mean_return", against: str = "primitives") -> tuple[NDArray, NDArray]:
-        """Learning curve from the evaluations.
+        """Return the learning curve from the evaluations.
 
         Args:
             metric: `mean_return`, `success_rate`, `mean_progress` or `mean_length`.
@@ -243,10 +243,10 @@ class TrainResult:
         Args:
             metric: as for `curve`.
             against: as for `curve`.
-            beside: further runs to draw in the same axes.
+            beside: more runs to plot in the same axes.
 
         Returns:
-            A matplotlib figure that belongs to no window; it shows itself in a notebook, and `figure.savefig(path)`
+            A matplotlib figure without a window; a notebook displays it, and `figure.savefig(path)`
             writes it.
         """
         figure = get_figure_class()(figsize=(5.6, 3.0), dpi=120, layout="constrained")
@@ -260,7 +260,7 @@ class TrainResult:
         return figure
 
     def to_json(self) -> dict[str, Any]:
-        """JSON value without agent, folder, and what the folder held before."""
+        """Return a JSON value without `agent`, `folder` and `resumed_at`."""
         value = dataclasses.asdict(dataclasses.replace(self, agent=None))
         return {name: each for name, each in value.items() if name not in ("agent", "folder", "resumed_at")}
 
@@ -276,7 +276,7 @@ def load_result(folder: str | os.PathLike[str]) -> TrainResult:
 
 
 def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:
-    """Key and result of a finished run; see `load_result`."""
+    """Read the key and the result of a finished run; see `load_result`."""
     path = Path(folder) / "result.json"
     content = read_json(path, "result of a run")
     try:
@@ -284,4 +284,4 @@ def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:
         return key, dataclasses.replace(read_record(TrainResult, content), folder=Path(folder))
     except (EscapeError, AttributeError, KeyError, TypeError) as error:
         raise CheckpointError(f"{path}: this result of a run is damaged ({describe_damage(error)}). Delete the folder "
-                              "to start anew") from error
+                              "to start again") from error

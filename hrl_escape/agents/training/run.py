@@ -68,26 +68,26 @@ class RunArguments:
     eval_episodes: int
     eval_seed: int
     agent_state: str | None = None
-    """Hash of the state of an agent that was given as an object; None for one made by name."""
+    """Hash of the state of an agent that was given as an object, or None for one made by name."""
     threads: int = 1  # of torch
     until_return: float | None = None
-    """Mean return of two evaluations in a row that ends the run; None where the budget alone does."""
+    """Mean return of two evaluations in a row that ends the run, or None if the budget alone does."""
     eval_trials: int = 1  # parts of an evaluation episode that count as episodes of their own
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The arguments as JSON values; one thread, no end but the budget's and whole episodes go unsaid."""
+        """The arguments as JSON values, without defaults of `threads`, `until_return` and `eval_trials`."""
         unsaid = {"threads": 1, "until_return": None, "eval_trials": 1}
         return {name: value for name, value in dataclasses.asdict(self).items()
                 if name not in unsaid or value != unsaid[name]}
 
 
 class Probe(Protocol):
-    """Measurements of an agent while it trains, which may also end its run before the budget.
+    """Measurements of an agent during training, which can end the run before its budget.
 
-    A probe changes nothing in the agent or in the episodes to come.
+    A probe must not change the agent or later episodes.
 
-    Its state is part of the run's checkpoints, so a resumed run measures what an uninterrupted one does.
+    Its state is part of the run's checkpoints, so a resumed run has the measurements of an uninterrupted one.
     """
 
     @property
@@ -97,21 +97,21 @@ class Probe(Protocol):
 
     @property
     def is_done(self) -> bool:
-        """Nothing is left to measure: the run ends after the present episode."""
+        """Measurements are complete: the run ends after the present episode."""
         ...
 
     def after_decision(self, agent: Agent, primitives: int) -> None:
         """Measure after a decision, with this many primitives trained for."""
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
-        """Measure between training episodes; the evaluation environment may be used."""
+        """Measure between training episodes; the evaluation environment is free for use."""
 
     def state_dict(self) -> StateTree:
-        """Everything that the coming measurements depend on, and the past ones."""
+        """State of later measurements, and the results of past ones."""
         ...
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
+        """Restore the state of `state_dict`."""
 
 
 class Run(Stateful):
@@ -164,7 +164,7 @@ class Run(Stateful):
             self.resume(self._folder.state, self._folder.rows)
 
     def close(self) -> None:
-        """Close the run folder, so that another process may go on with the run."""
+        """Close the run folder for another process to continue the run."""
         if self._folder is not None:
             self._folder.close()
 
@@ -253,7 +253,7 @@ class Run(Stateful):
                     callback.on_checkpoint(folder.path)
             if folder is not None and is_interrupted() and self.can_be_saved and not self.is_over:
                 raise KeyboardInterrupt(f"interrupted after {self.primitives:,} primitives; {folder.path} holds the "
-                                        "run, and the same command goes on from there")
+                                        "run, and the same command continues it")
 
     @property
     def is_over(self) -> bool:
@@ -279,7 +279,7 @@ class Run(Stateful):
 
     @property
     def can_be_saved(self) -> bool:
-        """True where a checkpoint taken now goes on to the same bits."""
+        """True if a checkpoint taken now resumes to the same bits."""
         return True
 
     def run_unit(self, report: Reporter) -> dict[str, Any]:
@@ -327,7 +327,7 @@ class Run(Stateful):
         return row
 
     def stop_clock(self, started: float, before: int) -> dict[str, float]:
-        """Count the seconds since a moment at which `before` primitives had run; returns what the log tells of time."""
+        """Count the seconds since a moment after `before` primitives; return the times for the log."""
         seconds = time.perf_counter() - started
         self.seconds += seconds
         return {"time/seconds": self.seconds,
@@ -363,7 +363,7 @@ class Run(Stateful):
         self._is_stopped = any(stops) and not self.is_over
 
     def make_result(self) -> TrainResult:
-        """Build the result; the agent is told where it comes from."""
+        """Build the result, and set the agent's origin."""
         self._sign()
         return TrainResult(
             agent_name=self.arguments.name,
@@ -386,7 +386,7 @@ class Run(Stateful):
         self.agent.origin = make_origin(self.arguments.name, key, self.arguments.seed, self.primitives)
 
     def resume(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
-        """Go on from a checkpoint and the log up to it."""
+        """Continue from a checkpoint and the log up to it."""
         with refusing_damage(f"{self.arguments.name}: the checkpoint or its log"):
             probe = self.probe
             self.load_state_dict(state)
@@ -407,9 +407,9 @@ _DEFERRED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 def _deferring_signals() -> Iterator[Callable[[], bool]]:
     """Note a first Ctrl-C, SIGTERM or SIGHUP, and act on it at the end; a second one acts at once.
 
-    Yields whether one came. A terminal is told. `KeyboardInterrupt` after Ctrl-C is the caller's to raise, as a run may
-    be over by then; the other two always end the process. Handlers of others stay, as do signals that are ignored, and
-    nothing changes in threads.
+    Yields whether one came, and prints a line on a terminal. The caller raises `KeyboardInterrupt` after Ctrl-C, as a
+    run can be over by then; the other two always end the process. Existing handlers and ignored signals stay, and
+    threads are not affected.
     """
     noted: list[int] = []
 
@@ -523,14 +523,14 @@ def load_agent_state(agent: Agent, state: StateTree, where: str) -> None:
 
 @contextmanager
 def refusing_damage(what: str) -> Iterator[None]:
-    """Turn whatever reading damaged content raises into a `CheckpointError`."""
+    """Raise a `CheckpointError` for any error in reading damaged content."""
     try:
         yield
     except CheckpointError:
         raise
     except Exception as error:
         raise CheckpointError(f"{what} is damaged, or of another agent ({describe_damage(error)}). Delete the run's "
-                              "folder to start anew") from error
+                              "folder to start again") from error
 
 
 # --- the progress line ------------------------------------------------------------------

@@ -1,9 +1,9 @@
 """Folder of one training run: identity, log, checkpoint and result.
 
 `run.json` holds the identity, `log.jsonl` one line an episode and an evaluation, `checkpoint.npz` the latest state,
-`best.npz` that of the best evaluation (the first of equals), `result.json` the result of a finished run. A checkpoint
-records the length of the log, and resuming cuts the log back to it. So a run killed at any moment leaves the files of
-an uninterrupted one.
+`best.npz` the state at the best evaluation (the first of equals), `result.json` the result of a finished run. A
+checkpoint records the length of the log, and resuming cuts the log back to it. So a run killed at any moment leaves the
+files of an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FORMAT = 3
 """Version of the fields of `run.json`; another version is refused."""
 
 LAST, BEST = "checkpoint.npz", "best.npz"
-"""Checkpoints of a run: the latest, and that of its best evaluation."""
+"""Checkpoints of a run: the latest, and the one of the best evaluation."""
 
 MOST_NAMED = 8
 """Differences that a message names."""
@@ -123,13 +123,13 @@ class RunFolder:
 
     def close(self) -> None:
         """Close the files and release the lock."""
-        with suppress(OSError):  # a full disk has been told of
+        with suppress(OSError):  # a full disk has been reported
             self._log.close()
         self._lock.close()
 
     @contextmanager
     def _writing_log(self) -> Iterator[None]:
-        """Say at once where the log's disk is full, or where its folder was deleted or moved."""
+        """Raise `FileWriteError` if the log's disk is full, or its folder was deleted or moved."""
         path = self.path / "log.jsonl"
         try:
             if not self._is_in_place(path):
@@ -137,7 +137,7 @@ class RunFolder:
             yield
         except OSError as error:
             if not self._is_in_place(path):
-                raise FileWriteError(f"{path} was deleted or moved while its run was writing it. Start the run anew, "
+                raise FileWriteError(f"{path} was deleted or moved while its run was writing it. Start the run again, "
                                      "and leave its folder where it is") from error
             if isinstance(error, FileWriteError):
                 raise
@@ -199,13 +199,13 @@ class RunFolder:
             self.rows = [parse_json(line, log_path, "log of a run") for line in content.splitlines()]
         except (EscapeError, KeyError, TypeError, ValueError) as error:
             raise CheckpointError(f"{log_path}: this log is damaged ({describe_damage(error)}). Delete the folder to "
-                                  "start anew") from error
+                                  "start again") from error
         return offset
 
     def _check_key(self, key: Any, name: str) -> None:
         if key != self.key:
-            raise CheckpointError(f"{self.path / name} belongs to another run than the run.json beside it. Delete the "
-                                  "folder to start anew")
+            raise CheckpointError(f"{self.path / name} belongs to another run than run.json in its folder. Delete the "
+                                  "folder to start again")
 
 
 def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
@@ -220,13 +220,13 @@ def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def check_run(described: Any, path: Path) -> dict[str, Any]:
-    """The value itself, where it is the description of a run; `path` is for the message of the `CheckpointError`."""
+    """Return the description of a run, or raise `CheckpointError`, which names `path`."""
     if isinstance(described, dict) and described.get("format") == FORMAT - 1:
         raise CheckpointError(f"{path}: this run is of version 0.3, in format {FORMAT - 1}. `hrl-escape convert "
                               f"{path.parent if path.name == 'run.json' else path}` writes it in the form of this "
                               "version")
     if not isinstance(described, dict) or described.get("format") != FORMAT:
-        raise CheckpointError(f"{path}: this is not the description of a run in format {FORMAT}. Train the run anew "
+        raise CheckpointError(f"{path}: this is not the description of a run in format {FORMAT}. Train the run again "
                               "with this version of hrl-escape")
     return described
 

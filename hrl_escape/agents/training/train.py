@@ -2,7 +2,7 @@
 
 An episode's seed is a function of the run's seed and its number, and checkpoints are taken between episodes, so no
 environment needs saving: a killed run resumes to the same bits. Evaluations happen between episodes
-too. Many runs at once are the part of `hrl_escape.benchmark`.
+too. `hrl_escape.benchmark` runs many of them.
 """
 
 from __future__ import annotations
@@ -87,37 +87,38 @@ def train(
 
     Args:
         agent: a spec such as `dqn`, `smdp-dqn` or `smdp-ppo+objects+memory` (see `agents.spec`), a class, or an agent
-            made new. The options, memory and hierarchy of a spec must be the environment's.
-        env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
-            before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
-            arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
-            arguments are told apart. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn from
-            many streams (see `list_many_env_agents`) on its device; returns are then logged by segments of steps
-            instead of episodes. With `data` it is the one to be tested in, by default the data set's.
-        primitives: budget, of all streams together. The decision that reaches it is the last. With `data` those
-            learned from, counted at each pass; by default as many as the agent's `passes` say.
+            instance without training. The options, memory and hierarchy of a spec must be the environment's.
+        env: Discrete actions; `agent.make_transition` documents the contract of `step`. It must not depend on state
+            from before `reset(seed=...)`, which is called for every episode. An environment of your own must keep its
+            arguments under their names, or have a `describe` method (see `DescribedEnv`), so that runs with other
+            arguments have another identity. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn
+            from many environments (see `list_many_env_agents`) on its device; returns are then logged by segments of
+            steps instead of episodes. With `data` it is the evaluation environment, by default the data set's.
+        primitives: budget, of all environments together. The decision that reaches it is the last. With `data` the
+            primitives learned from, counted at each pass; by default as many as the agent's `passes` say.
         data: data set, by name, by the path of a recording, or from `hrl_escape.data.load_data`, for agents that learn
             offline. Agents over options, such as `smdp-iql`, learn from decisions, others from primitives.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
-        settings: fields of the agent's settings to change, but for an agent made new; they come after the spec's.
+        settings: fields of the agent's settings to change, if `agent` is a spec or class; they come after the spec's.
         eval_env: evaluation environment; by default `env` itself, between episodes, or one of many.
         eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
-            the first episode's end from there on, besides one before training and one after.
-        eval_episodes: episodes in an evaluation; 0 leaves evaluations out.
+            the next end of an episode, in addition to one before training and one after.
+        eval_episodes: episodes in an evaluation; 0 turns evaluations off.
         eval_seed: fixes the evaluation episodes; use one value for all runs that are compared.
         out: folder for log, checkpoints and result; `{key}` in its name becomes a hash of everything that decides
-            the run's numbers. The same run found there goes on from its last checkpoint, to the same bits; a
+            the run's numbers. The same run found there continues from its last checkpoint, to the same bits; a
             finished one is returned at once; any other run is refused. Ctrl-C, SIGTERM and SIGHUP save the run
-            at the end of the episode that is running. The agent of the best evaluation is kept beside the last.
+            at the end of the episode that is running. The agent of the best evaluation is kept as well as the last.
         checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
-        callbacks: told of rows, evaluations and checkpoints, such as `TensorBoard()`; see `agents.training.callbacks`.
+        callbacks: observers of rows, evaluations and checkpoints, such as `TensorBoard()`; see
+            `agents.training.callbacks`.
         progress: show a progress line; by default on a terminal only.
-        probe: measures the agent on the way, and may end the run before its budget.
+        probe: measures the agent during training, and can end the run before its budget.
         threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
             many environments at once on a CPU are quicker with one per core.
-        until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
-            trains for all of it.
+        until_return: end before the budget, after two evaluations in a row whose mean return is at least this, or None
+            to train for all of it.
         eval_trials: parts of an evaluation episode that count as episodes of their own; see `evaluate`.
         observed: call `run_observers` at the end. This package's raises the best known return of a room, with a
             warning, where an evaluation has beaten it. Not called where `eval_trials` is above 1.
@@ -160,8 +161,8 @@ def train(
         if not isinstance(value, (int, np.integer)) or value < least:
             raise AgentSettingsError(name, value, f"a whole number of at least {least}")
     if until_return is not None and (not isinstance(until_return, (int, float)) or not eval_episodes):
-        raise AgentSettingsError("until_return", until_return, "a return of evaluations, of which eval_episodes are "
-                                 "above 0, or None")
+        raise AgentSettingsError("until_return", until_return, "a mean return, with eval_episodes above 0, "
+                                 "or None")
     for callback in callbacks:
         if not isinstance(callback, Callback):
             raise AgentSettingsError("callbacks", callback, "objects derived from hrl_escape.agents.Callback")
@@ -180,7 +181,7 @@ def train(
                                  threads, until_return, eval_trials)
         if material is not None:
             if probe is not None:
-                raise AgentSettingsError("probe", probe, "None in a run that learns from a data set")
+                raise AgentSettingsError("probe", probe, "None with a data set")
             run = OfflineRun(learner, arguments, material, callbacks)  # pyright: ignore[reportPossiblyUnboundVariable]
         elif isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe, callbacks)
@@ -189,7 +190,7 @@ def train(
                 raise AgentSettingsError("agent", name, "one that learns from many environments at once: "
                                          f"{', '.join(list_many_env_agents())}; or give train an ordinary environment")
             if probe is not None:
-                raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
+                raise AgentSettingsError("probe", probe, "None with many environments")
             from hrl_escape.agents.training.many_envs import ManyEnvsRun  # brings torch in
 
             run = ManyEnvsRun(learner, env, single, arguments, callbacks)
@@ -209,7 +210,7 @@ def train(
 
 @contextmanager
 def _using_threads(threads: int) -> Iterator[None]:
-    """Set the number of torch's threads, and restore it afterwards; nothing happens where torch is not loaded.
+    """Set the number of torch's threads, and restore it afterwards, if torch is loaded.
 
     Sums over several threads differ in the last bit, so their number is part of a run.
     """
@@ -227,11 +228,11 @@ def _using_threads(threads: int) -> Iterator[None]:
 
 _SAME_TASK = ("NormalizeReward", "RecordEpisodeStatistics", "RecordVideo", "HumanRendering", "ArrayConversion",
               "JaxToNumpy", "JaxToTorch", "NumpyToTorch")
-"""Wrappers of Gymnasium, besides those of rewards, under which an agent sees and does the same as without them."""
+"""Wrappers of Gymnasium, besides wrappers of rewards, that do not change what an agent sees and does."""
 
 
 def make_single_env(env: VectorEnv | ManyEnvs) -> gymnasium.Env:
-    """An ordinary environment of the same task as many at once, by which they are evaluated.
+    """Make an ordinary environment of the same task as many at once, for their evaluations.
 
     Raises:
         AgentSettingsError: it cannot be made; give one.
@@ -241,8 +242,8 @@ def make_single_env(env: VectorEnv | ManyEnvs) -> gymnasium.Env:
         kind = type(inner)
         is_harmless = kind.__module__.startswith("gymnasium.") and kind.__name__ in _SAME_TASK
         if not is_harmless and not isinstance(inner, VectorRewardWrapper):
-            raise AgentSettingsError("eval_env", None, f"an ordinary environment that does what {kind.__name__} "
-                                     "does: the vector environment has this wrapper, and the environment made for "
+            raise AgentSettingsError("eval_env", None, f"an ordinary environment with the effect of {kind.__name__}: "
+                                     "the vector environment has this wrapper, and the environment made for "
                                      "evaluation would lack it")
         inner = inner.env
     if hasattr(inner, "make_single_env"):
@@ -262,9 +263,9 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
 
     Args:
         folder: folder of a run.
-        env: environment with the spaces of the training; None makes the run's own, see `load_env`.
+        env: environment with the spaces of the training; by default the run's own, see `load_env`.
         best: load the agent of the evaluation with the highest mean return so far, the first of equals.
-        trust: let the run's agent and environment import whatever code the folder names; give it only to folders of
+        trust: let the run's agent and environment import any code that the folder names; use it only for folders of
             your own.
 
     Raises:
@@ -276,7 +277,7 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
     described = read_run(folder)
     state = load_checkpoint(Path(folder) / (BEST if best else LAST))
     if state.get("key") != compute_digest(hash_large_parts(described)):
-        raise CheckpointError(f"{folder}: the checkpoint belongs to another run than the run.json beside it")
+        raise CheckpointError(f"{folder}: the checkpoint belongs to another run than run.json in its folder")
     own = load_env(folder, trust=trust) if env is None else None
     spaces = env or own
     assert spaces is not None
@@ -292,7 +293,7 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
 
 
 def _make_described_agent(described: Mapping[str, Any], env: gymnasium.Env, trust: bool, where: str) -> Agent:
-    """The agent of a run before its training: by its name, or else of the class that the run's description names."""
+    """Make the untrained agent of a run, by its name or by the class in the run's description."""
     try:
         get_agent_class(described.get("name", ""))
     except UnknownNameError as error:
@@ -317,7 +318,7 @@ def load_env(folder: str | os.PathLike[str], *, trust: bool = False) -> gymnasiu
 
     Args:
         folder: folder of the run.
-        trust: import whatever code the folder names; give it only to folders of your own.
+        trust: import any code that the folder names; use it only for folders of your own.
 
     Raises:
         FileReadError: no description there.

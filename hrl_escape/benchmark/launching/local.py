@@ -69,7 +69,7 @@ class LocalLauncher:
 
     workers: int | None = None  # runs at a time, or None for one a core
     checkpoint_seconds: float = 10.0  # between checkpoints of a run, so the most that a kill costs
-    begin_until: float = math.inf  # `time.monotonic()` after which no run begins
+    begin_until: float = math.inf  # `time.monotonic()` of the last start of a run
 
     def __post_init__(self) -> None:
         choose_workers(self.workers)  # raises for a wrong number before any run

@@ -59,7 +59,7 @@ class BayesPlanner(SearchBaseline):
         self._odds: NDArray[np.float64] | None = None
 
     def expect(self, odds: NDArray[np.float64] | None) -> None:
-        """Set the prior over latent codes of cues for the next rooms, (codes,); None restores the default."""
+        """Set the prior over latent codes of cues for the next rooms, (codes,), or the default for None."""
         self._odds, self._posterior = odds, None
 
     def infer_code(self) -> NDArray[np.float64] | None:
@@ -172,5 +172,4 @@ class _Posterior:
 
 
 def _get_bits(state: RoomState) -> int:
-    """Bits of the buttons that are on."""
     return cast(int, state.puzzle)

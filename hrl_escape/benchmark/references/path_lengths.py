@@ -51,7 +51,7 @@ def measure_paths(planner: RoomPlanner) -> PathLengths:
 
 
 def follow_path(planner: RoomPlanner, state: RoomState, goal: Goal) -> tuple[RoomState | None, float]:
-    """Return the final state of a planned path and its primitives; None and `_NO_PATH` if there is no path."""
+    """Return the final state of a planned path and its primitives, or None and `_NO_PATH` without a path."""
     try:
         plan = planner.plan(state, goal)
         return plan.states[-1], float(plan.cost)

@@ -57,7 +57,6 @@ def is_level(spec: AgentSpec) -> bool:
 
 
 def _darken(colour: str) -> str:
-    """Darken a colour for text on white."""
     mixed = [round(255 * (0.72 * part + 0.28 * ink)) for part, ink in
              zip(palette.to_rgb(colour), palette.to_rgb(palette.INK), strict=True)]
     return "#{:02x}{:02x}{:02x}".format(*mixed)

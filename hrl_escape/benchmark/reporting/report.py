@@ -294,7 +294,7 @@ def _list_room_cells(summary: Summary, agent: AgentSummary) -> list[_Cell]:
 
 
 def _list_odds_cells(summary: Summary, number: int) -> list[_Cell]:
-    """Make the cells of the shares of pairs in which an agent is above each other agent."""
+    """Make the cells of the shares of pairs with an agent above each other agent."""
     first = summary.agents[number]
     return [_Cell("") if first is second else _make_odds_cell(first, second, pair)
             for second, pair in zip(summary.agents, summary.pairs[number], strict=True)]

@@ -27,9 +27,9 @@ from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.planning.goals import ExitGoal, GripGoal, PressGoal, name_goal
 
 MOST_TRIED = 20_000
-"""Most states of a puzzle in which acts are tried, some seconds."""
+"""Largest number of puzzle states to try acts in, some seconds."""
 NO_STATE = -(1 << 63)
-"""Stands for the state after an act that does not reach its goal: no puzzle has this word."""
+"""Placeholder for the state after an act that does not reach its goal: no puzzle has this word."""
 _SIGNS = {"grip": 1, "release": -1}
 BatchGoal: TypeAlias = PressGoal | GripGoal | ExitGoal
 
@@ -39,7 +39,7 @@ class Aims(NamedTuple):
 
     targets: Tensor  # the target to go to, or the number of targets for the exit, int64 (options, instances)
     acts: Tensor  # the primitive to take while touching it, -1 for a press and the exit, int64 (options, instances)
-    kinds: Tensor  # kind of an instance's puzzle: those of one kind do the same, int64 (instances,)
+    kinds: Tensor  # kind of an instance's puzzle: instances of one kind behave alike, int64 (instances,)
     words: Tensor  # states of all puzzles, ascending, int64 (states,)
     can: Tensor  # whether an act is possible; true for presses and the exit, bool (options, kinds, states)
     after: Tensor  # states that reach the goal of an act, or `NO_STATE`, int64 (outcomes, options, kinds, states)
@@ -129,7 +129,7 @@ def _try_acts(puzzle: Puzzle, goals: tuple[BatchGoal, ...]) -> _Acts:
             continue
         grip = GRIPS.index(_SIGNS[goal.action])
         place = count + grip * (count + 1) + 1 + goal.target
-        event = table.after[place] if place < len(table.after) else None  # (states, outcomes); None where nothing comes
+        event = table.after[place] if place < len(table.after) else None  # (states, outcomes), or None if nothing comes
         for op in model.operators:
             if (op.action, op.target) != (goal.action, puzzle.target_names[goal.target]):
                 continue

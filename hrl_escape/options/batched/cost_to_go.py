@@ -65,7 +65,7 @@ class PostureLibrary(NamedTuple):
     steps: NDArray[np.int32]  # joint steps from home, int32 (targets, postures, joints)
     hands: NDArray[np.float64]  # hand in the base frame, m, float64 (targets, postures, 3)
     fields: NDArray[np.int64]  # number of the field of each, int64 (targets, postures)
-    approaches: NDArray[np.float64]  # target of each field, and the hand for which it is, m: rows of (target, x, y, z)
+    approaches: NDArray[np.float64]  # target of each field, and the hand that it is for, m: rows of (target, x, y, z)
     limit: float  # largest distance of the hand's centre from a target that touches, m
 
 
@@ -113,14 +113,14 @@ class InstanceFields:
 
     values: NDArray[np.int16]
     """Int16 (fields, cells, classes): cost-to-go over `scales`; -1 where there is no way. The order is press 0 with the
-    puzzle unsolved, press 0 with it solved, press 1 ..., and last the exit; by hand it is that of the postures' fields,
-    and last the exit."""
+    puzzle unsolved, press 0 with it solved, press 1 ..., and last the exit; by hand the postures' fields in their
+    order, and last the exit."""
     scales: NDArray[np.float32]  # primitives per unit of `values`, float32 (fields,)
     low: tuple[float, float]  # corner of the grid, m
     size: float  # side of a cell, m
     shape: tuple[int, int]  # columns and rows of cells
     offset: float  # heading offset from whole turn steps that the fields are for, rad
-    postures: PostureLibrary | None = None  # those that press by hand; None where the body presses
+    postures: PostureLibrary | None = None  # those that press by hand, or None if the body presses
 
 
 class Postures(NamedTuple):
@@ -233,7 +233,7 @@ class FieldGrid:
 
     def _iterate(self, values: NDArray[np.float32], own: NDArray[np.uint64], leaving: Sequence[float]
                  ) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
-        """Find fields, (headings, cells, fields), from those of their states that are goals; see `iterate_values`."""
+        """Iterate fields, (headings, cells, fields), that hold the states of their goals; see `iterate_values`."""
         values = values.reshape(len(values), -1)
         iterate_values(values, self._moves, self._turn_steps, self._can_turn, own, np.array(leaving, dtype=np.float32),
                        np.float32(OTHER_PRESS_COST), np.float32(_TOLERANCE), _SWEEPS)
@@ -241,7 +241,7 @@ class FieldGrid:
 
     def _find_touching(self, target: int, hand: Sequence[float], limit: float
                        ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Find the headings and cells of all states from which a hand that rests touches a target."""
+        """Find the headings and cells of all states where a hand at rest touches a target."""
         goal = self._instance.targets[target]
         outline = stack_footprints([goal.footprint])
         beyond = max(abs(hand[2] - goal.z) - goal.half_z, 0.0)
@@ -298,10 +298,10 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
     """Put the fields of several instances on a device; equal instances share theirs.
 
     Raises:
-        UnsupportedError: a room needs more than a batch's options do; told before any field is computed.
+        UnsupportedError: a room needs more than a batch's options support; raised before any field is computed.
     """
     if any(instance.inner_doors and not isinstance(instance.puzzle, Doored) for instance in instances):
-        raise UnsupportedError("batched options know no cells that shut again: use OptionsEnv over one room")
+        raise UnsupportedError("batched options do not support cells that shut again; use OptionsEnv over one room")
     aims = make_aims(instances, device)
     each = [compute_instance_fields(instance) for instance in instances]
     unique = {id(fields): fields for fields in each}
@@ -371,7 +371,7 @@ def locate(layout: Layout, fields: CostFields, instance: Tensor, x: Tensor, y: T
 
 def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field: Tensor, place: GridPlace,
                      heading: Tensor, between: Tensor | None) -> Tensor:
-    """Interpolate the cost-to-go among the cells from which there is a way; float32 (..., rooms).
+    """Interpolate the cost-to-go among the cells with a way to the goal; float32 (..., rooms).
 
     `field` is its number in the room's instance, int64 (rooms,), `place` from `locate`, `heading` its class, int64
     (..., rooms), and `between` the share of the way to the next class, float32 (rooms,), or None if all headings are

@@ -233,8 +233,8 @@ class BatchedOptionsEnv:
             the order of goals at the start of a decision.
         interruptible: return to the agent after every primitive of an option, with `interrupted`. Choosing the same
             option again continues it, and choosing another drops it.
-        max_duration: primitives after which an option ends with `timeout`, interruptions included, or None for no
-            limit.
+        max_duration: maximum primitives of an option, which then ends with `timeout`, interruptions included, or None
+            for no limit.
         autoreset: start the next episode of a room as soon as one ends; otherwise the room waits for `reset`.
         rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` and `compile`; see `Rooms`.
 
@@ -349,8 +349,8 @@ class BatchedOptionsEnv:
         """Start new episodes. Running decisions in these rooms are dropped.
 
         Args:
-            seeds: keys of the rooms' random numbers, int64 (rooms,), or a whole number of at least 0 to which room i
-                adds i. None continues the present streams.
+            seeds: keys of the rooms' random numbers, int64 (rooms,), or an integer of at least 0 that gives room i the
+                key seeds + i. With None the present generators continue.
             where: rooms to reset, bool (rooms,), or None for all.
 
         Returns:
@@ -472,8 +472,8 @@ def _read_options(options: OptionDegradation | None, option_set: str) -> OptionD
     chosen = option_set if options is None else options.option_set
     check_option_set(chosen)
     if chosen == "press-reactive":
-        raise UnsupportedError("option_set = 'press-reactive': batched options remember the cells they were in, so "
-                               "they are no functions of the state; OptionsEnv has such options, in one room")
+        raise UnsupportedError("option_set = 'press-reactive': batched options choose by past cells, too, not by the "
+                               "state alone; use OptionsEnv over one room")
     if chosen not in BATCHED_SETS:
         raise UnsupportedError(f"option_set = {chosen!r} has no batched form: a batch has {join_words(BATCHED_SETS)}; "
                                "OptionsEnv has every option set, in one room")

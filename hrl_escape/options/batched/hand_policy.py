@@ -34,7 +34,7 @@ _SKIN = 1e-4  # margin of a predicted touch, m
 
 
 class Reach(NamedTuple):
-    """Postures in which the arms of a batch touch the rooms' present targets; (postures, rooms) unless said."""
+    """Postures of the arms of a batch that touch the rooms' present targets; (postures, rooms) unless stated."""
 
     target: Tensor  # the targets, int64 (rooms,)
     column: Tensor  # instances of the rooms in tables, int64 (rooms,)
@@ -42,7 +42,7 @@ class Reach(NamedTuple):
     away: Tensor  # joint steps from the present posture, float32
     ahead: Tensor  # the hand in the base frame, m, float32
     left: Tensor  # likewise
-    square: Tensor  # square of the largest distance over the floor at which it touches, m^2, float32; negative if never
+    square: Tensor  # square of the largest distance over the floor where it touches, m^2, float32; negative if never
     chosen: Tensor  # joint steps to the postures that were chosen, float32 (chosen, rooms)
     shifts: Tensor  # place of the base relative to the one that the field of each is for, m, float32 (2, chosen, rooms)
     fields: Tensor  # number of this field, int64 (chosen, rooms)

@@ -2,8 +2,8 @@
 
 The loop of `OptionsEnv.step`, turned inside out for many rooms, by the batched engine's rules. An option's policy is
 greedy: the primitive that leads to the least cost-to-go. Moves are swept exactly, with walls and press margins; the
-cost-to-go of their ends is interpolated (`cost_to_go.py`). Where fields mislead, a room remembers the costs found in
-its last cells, so that it does not circle (learning real-time A*, Korf 1990).
+cost-to-go of their ends is interpolated (`cost_to_go.py`). Where fields mislead, stored costs of the last cells prevent
+circles (learning real-time A*, Korf 1990).
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ PLAN_LENGTH = 64
 ORDER_LENGTH = 16
 """Most goals of one option that a room keeps; it asks for the rest of a longer order once these are reached."""
 NOT_ASKED = -1
-"""Stands for a goal that the planner must still choose: the next one of an option that presses ancestors first."""
+"""Placeholder for a goal that the planner must still choose: the next one of an option that presses ancestors first."""
 PLAN_AFTER = 4
-"""Primitives without progress after which an option follows a plan instead of its field."""
+"""Primitives without progress before an option follows a plan instead of its field."""
 FAIL_AFTER = 120
-"""Primitives without progress after which it fails; more where primitives slip."""
+"""Primitives without progress before it fails; more where primitives slip."""
 _OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan_left")
 _OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order_left")
-_UNREAD = ("plan", "order")  # while nothing of them is left: they stay as they are
+_UNREAD = ("plan", "order")  # unchanged while nothing of them is left
 REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
 
@@ -89,7 +89,7 @@ class OpenDecisions(NamedTuple):
     discount: Tensor  # gamma to the power of the duration so far, float32
     duration: Tensor  # primitives so far, int32
     pressed: Tensor  # bits of the targets pressed so far, int64
-    option: Tensor  # action of the option that runs, or was interrupted and may be continued, int64; -1 for none
+    option: Tensor  # action of the option that runs, or was interrupted and can be continued, int64; -1 for none
     run: Tensor  # primitives of its run so far, interruptions included, int32
     goal: Tensor  # number of the option that it carries out now, itself or a part, or `NOT_ASKED`, int64
     age: Tensor  # primitives since it took up this goal, int32
@@ -112,12 +112,12 @@ class StepSettings(NamedTuple):
     primitives: int  # primitives that are actions
     options: int  # options that are actions, the exit's last
     gamma: float  # discount per primitive
-    fail_after: int  # primitives without progress after which an option fails
-    max_duration: int  # primitives after which it is ended
+    fail_after: int  # primitives without progress before an option fails
+    max_duration: int  # maximum primitives of an option
     autoreset: bool  # begin the next episode as one ends
     interruptible: bool  # ask the agent again after every primitive of an option
     has_ancestors: bool  # options carry out the ancestors of their goal first
-    degradation: OptionDegradation  # amounts by which options are degraded
+    degradation: OptionDegradation  # degradation of the options
 
 
 class AgentView(NamedTuple):
@@ -138,7 +138,7 @@ def find_startable(layout: Layout, tables: Tables, aims: Aims, state: TensorStat
 
 def make_view(layout: Layout, tables: Tables, aims: Aims, state: TensorState, settings: StepSettings,
               option: Tensor | None = None) -> AgentView:
-    """Observe every room and list its legal actions; an interrupted `option`, int64 (rooms,), may be continued."""
+    """Observe every room and list its legal actions; an interrupted `option`, int64 (rooms,), can be continued."""
     options = find_startable(layout, tables, aims, state, settings)
     mask = torch.cat([torch.ones_like(options[:, :1]).expand(-1, settings.primitives), options], dim=1)
     if option is not None and settings.interruptible:
@@ -277,7 +277,7 @@ def begin_decisions(settings: StepSettings, running: OpenDecisions, where: Tenso
 
 
 def make_decisions(observation: Tensor) -> OpenDecisions:
-    """Make the decisions of rooms in which none has begun."""
+    """Make the empty decisions of rooms."""
     number = observation.new_zeros(len(observation))
     count, word = number.to(torch.int32), number.to(torch.int64)
     return OpenDecisions(
@@ -307,7 +307,7 @@ def _draw_uniform(settings: StepSettings, option: Tensor, purpose: int, state: T
 # --- the greedy policy ----------------------------------------------------------------------
 
 MEMORY = 8
-"""Number of cells whose cost a room remembers."""
+"""Number of recent cells with stored costs, per room."""
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them
 
 
@@ -315,15 +315,15 @@ class Choice(NamedTuple):
     """Next primitive of the options; all fields (rooms,)."""
 
     primitive: Tensor  # int64
-    cost: Tensor  # cost-to-go, this primitive included, float32; `UNREACHABLE` or more if there is no way
+    cost: Tensor  # cost-to-go, this primitive included, float32; `UNREACHABLE` or more without a way
     cell: Tensor  # cell and heading class of the room, int64
 
 
 def can_start(layout: Layout, tables: Tables, aims: Aims, state: TensorState, has_ancestors: bool) -> Tensor:
     """Options that may start, bool (rooms, options): those at targets that the room has, and the exit.
 
-    The exit may not where the robot is in it already or a shut door blocks it. What is behind shut inner doors may only
-    where its ancestors come first; elsewhere a grip or release may not that the puzzle's state forbids.
+    The exit cannot start if the robot is in it already or a shut door blocks it. Options behind shut inner doors can
+    only start if ancestors come first. Otherwise a grip or release that the puzzle's state forbids cannot start.
     """
     inside = is_in_exit(layout, tables, state.instance, state.x, state.y)
     has_door = pick(layout, tables.doors, state.instance).x[0] < 1e5
@@ -406,7 +406,7 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
 def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
                               postures: Tensor, cells: Tensor, costs: Tensor, depth: int, x: Tensor, y: Tensor,
                               touched: Tensor, turn: Tensor) -> Tensor:
-    """Cost-to-go after each base primitive: one more than that of the best primitive to follow it."""
+    """Cost-to-go after each base primitive: the cost of the best next primitive, plus one."""
     count = len(x)
     later = repeat_rooms(state, count)
     headings = wrap(state.heading_steps + turn, layout.headings).to(torch.int32)

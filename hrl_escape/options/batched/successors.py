@@ -23,7 +23,7 @@ def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 
 def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Return whether the body stands in the doorway, where a shut door does not block it, bool (rooms,)."""
+    """Return whether the body is in the doorway, where a shut door does not block it, bool (rooms,)."""
     doors: Shapes = pick(layout, tables.doors, state.instance)
     return place_base(layout, tables, state, CONTACT_SKIN).stands_in(doors)[0]
 
@@ -72,7 +72,7 @@ def find_ends(layout: Layout, tables: Tables, state: TensorState, is_open: Tenso
 
 
 def repeat_rooms(state: TensorState, count: int) -> TensorState:
-    """States of the rooms so many times over, one copy after the other."""
+    """Repeat the states of the rooms `count` times, one copy after the other."""
     return TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
 
 

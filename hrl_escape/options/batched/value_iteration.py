@@ -17,7 +17,7 @@ from hrl_escape.floor.sweeps import Presser, get_shape, is_clear_of_all, is_touc
 from hrl_escape.kernels import kernel, kernel_part
 
 UNREACHABLE = 10_000.0
-"""Cost-to-go of places from which the goal cannot be reached."""
+"""Cost-to-go of places that cannot reach the goal."""
 AT_GOAL = 1e-6
 """Cost-to-go of states that are the goal themselves, which stays as it is."""
 _MOST, _GOAL = np.float32(UNREACHABLE), np.float32(AT_GOAL)
@@ -53,7 +53,7 @@ class Targets(NamedTuple):
     """Targets that the body presses."""
 
     shapes: NDArray[np.float64]  # rows of `stack_footprints`, float64 (targets, 7)
-    reaches: NDArray[np.float64]  # largest distance of its axis at which each is touched, m, float64 (targets,)
+    reaches: NDArray[np.float64]  # largest distance of its axis where each is touched, m, float64 (targets,)
     by_base: NDArray[np.bool_]  # True where the `base` must touch it, bool (targets,); else that distance decides
     base: Presser
 
@@ -134,7 +134,7 @@ def _trace_listed(scene, points, fits, turns, rows, low, size, moves, offsets, s
     begun = np.zeros((specials, translations), dtype=np.uint64)
     outside = np.ones((specials, translations), dtype=np.bool_)
     at = row = 0
-    for n in range(cells * classes):  # column after column, in the order in which values are backed up
+    for n in range(cells * classes):  # column after column, in the order of backups
         i, c, j = n // (classes * rows), n // rows % classes, n % rows
         cell = i * rows + j
         if listed[c, cell] != 0:
@@ -219,18 +219,18 @@ def iterate_values(values, moves, turn_steps, can_turn, own, leaving, penalty, t
         values: cost-to-go or more, shape (classes, cells * fields), float32: `UNREACHABLE`, and `AT_GOAL` where the
             goal is a set of states. Costs that are too low would take more sweeps to grow than those to fall.
         moves: from `trace_moves`.
-        turn_steps: heading classes by which each turn advances, shape (turns,); the first two are 1 and -1.
+        turn_steps: change of heading class by each turn, shape (turns,); the first two are 1 and -1.
         can_turn: True where each turn is free, shape (turns, classes, cells); (0, ...) if all are.
         own: bit of the target that a move of each field is to touch, 0 for the exit, uint64 (fields,).
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.
         tolerance: largest change that counts as none, float32.
-        most: largest number of sweeps, after which values may still change.
+        most: maximum number of sweeps; values can still change after them.
     """
     fields, classes, cells, rows = own.shape[0], moves.listed.shape[0], moves.listed.shape[1], moves.rows
     columns, side = cells // rows, moves.reach
     wide, high = (columns + side - 1) // side, (rows + side - 1) // side
-    changed = np.zeros((columns, high), dtype=np.int64)  # number of the last sweep in which a tile's column did
+    changed = np.zeros((columns, high), dtype=np.int64)  # number of the last sweep that changed a tile's column
     fresh = np.empty((classes, side * fields), dtype=np.float32)
     for number in range(1, most + 1):
         is_done = True
@@ -253,7 +253,7 @@ def iterate_values(values, moves, turn_steps, can_turn, own, leaving, penalty, t
 
 @kernel_part
 def _is_stale(changed, i, tj, side, since):
-    """Return whether a value on which a tile's column depends has changed since a sweep."""
+    """Return whether a value that a tile's column depends on has changed since a sweep."""
     for near_i in range(max(i - side, 0), min(i + side + 1, changed.shape[0])):
         for near_j in range(max(tj - 1, 0), min(tj + 2, changed.shape[1])):
             if changed[near_i, near_j] >= since:
@@ -350,7 +350,7 @@ def _keep_goal(old, best):
 
 @kernel_part
 def _take_less_after_turn(fresh, source, to, can_turn, turn, begin, count, fields):
-    """Lower the costs at the heading class `to` to those of turning to the class `source` first, where that is free."""
+    """Lower the costs at the heading class `to` to the costs of first turning to `source`, where that is free."""
     if can_turn.shape[0] == 0:
         _take_less_by_one(fresh[source, :count * fields], fresh[to, :count * fields])
         return

@@ -45,8 +45,8 @@ class OptionsVectorEnv(BatchVectorEnv):
         render_mode: must be None.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device.
-        max_episode_steps: decisions after which an episode is truncated, as `gymnasium.make` counts them, or None for
-            the room's horizon alone.
+        max_episode_steps: maximum number of decisions of an episode, as `gymnasium.make` counts them, or None for the
+            room's horizon alone.
         arguments: further arguments of `BatchedOptionsEnv`.
 
     Raises:

@@ -26,7 +26,7 @@ TURNS = (0.0, *(sign * math.radians(angle) for angle in range(5, 91, 5) for sign
 FARTHEST_LINE = 4.0
 """Length of the longest such line, in radii of the base."""
 SHARES = (0.0, 0.5, -0.5, 1.0, -1.0)
-"""Places along a panel's side at which it is pressed, as shares of half its length and half the base's width."""
+"""Places to press a panel along its side, as shares of half its length and half the base's width."""
 _APART = 1e-6  # m between the base and a solid at the end of a line, beyond rounding
 
 _Place = tuple[float, float]
@@ -36,7 +36,7 @@ class _Drive(NamedTuple):
     """Lines and turns, each from rest to rest."""
 
     seconds: float
-    poses: tuple[tuple[float, float, float], ...]  # x and y, m; heading, rad, which goes on beyond half a circle
+    poses: tuple[tuple[float, float, float], ...]  # x and y, m; heading, rad, unwrapped
 
 
 class Floor(NamedTuple):
@@ -60,9 +60,8 @@ def find_drive(floor: Floor, start: NDArray[np.float64], ends: NDArray[np.float6
         seed: the same seed gives the same way.
         budget: places that each planner may test; a line counts as ten.
 
-    Returns:
-        Poses to go through, shape (k, 3), each by a line along its heading or by a turn on the spot from the one
-        before, m and rad; None where none was found.
+        Poses to pass through, (k, 3), m and rad, or None if none was found. Each is reached from the one before by a
+        line along its heading or by a turn on the spot.
     """
     from hrl_escape.planning.paths.planners import find_line_path  # loads OMPL
 
@@ -99,10 +98,10 @@ def _get_seconds(drive: _Drive) -> float:
 
 
 def list_docks(collision: CollisionMap, panel: Footprint, margin: float, beyond: float) -> NDArray[np.float64]:
-    """Poses (n, 3) to which the base drives straight at a panel, ahead or backwards, m and rad.
+    """List the poses (n, 3) that drive straight at a panel, ahead or backwards, m and rad.
 
-    The base touches the panel, a box on the floor, at a distance of `margin`, and goes on for `beyond` after the first
-    touch, up to the first solid; m.
+    The base touches the panel, a box on the floor, at a distance of `margin`. It then drives up to `beyond` further,
+    or up to the first solid; m.
     """
     base, docks = collision.base, []
     front = base.front - CONTACT_SKIN + margin
@@ -158,7 +157,7 @@ class _Steering:
         return [[(x, y)]] if self._floor.between.is_clear(x, y, self._need) else []
 
     def drive(self, start: Sequence[float], way: Sequence[_Place], end: Sequence[float]) -> _Drive | None:
-        """The shortest drive through a start, some of the places of a way and an end; None if there is none.
+        """Return the shortest drive through a start, some of the places of a way and an end, or None.
 
         The first line of those that leave a target stays, and so does the last one of those to a heading.
         """
@@ -195,7 +194,7 @@ class _Steering:
         return self._turn_to(self._floor.entering, found, last)
 
     def _turn_to(self, collision: CollisionMap, drives: Sequence[_Drive], heading: float) -> _Drive | None:
-        """The fastest of some drives to one place with a turn to a heading; None if none can turn so."""
+        """Return the fastest of some drives to one place with a turn to a heading, or None if none can turn so."""
         found = []
         for drive in drives:
             x, y, before = drive.poses[-1]

@@ -8,7 +8,7 @@ A path of straight lines is timed by Ruckig (Berscheid and Kroeger 2021), under 
 On a line all coordinates share one profile. At a corner the velocity goes from the first line's to the second's
 along the straight line between the two, also by one profile: from w to w' in T seconds. By its symmetry the corner
 begins w T / 2 before the point and ends w' T / 2 behind it, and passes it at most |w' - w| T / 8 away. So every limit
-that holds for the ends of a profile holds all along it, those of the base in every direction included.
+that holds for the ends of a profile holds all along it, including the limits of the base in every direction.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, CheckerBudget, Mo
 from hrl_escape.planning.plan import Plan, make_planned_room
 
 HALVINGS = 40
-"""Halvings by which the speed at a corner is found."""
+"""Number of halvings to find the speed at a corner."""
 
 
 class TimedPath(NamedTuple):
@@ -54,7 +54,7 @@ def time_path(path: MotionPath, rates: NDArray[np.float64]) -> TimedPath:
     `rates` are the largest speed, acceleration and jerk of each coordinate, shape (coordinates, 3).
     """
     def measure(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sizes that are limited, of vectors (n, coordinates): those of the base by its motion in the plane."""
+        """Sizes that are limited, of vectors (n, coordinates); for the base, of its motion in the plane."""
         sizes = np.abs(vectors)
         if path.names[:2] == ("x", "y"):
             sizes[:, :2] = np.hypot(vectors[:, 0], vectors[:, 1])[:, None]
@@ -153,7 +153,7 @@ def _run_profile(length: float | None, begin: float, end: float, limits: NDArray
     wanted.max_velocity = [max(float(limits[0]), begin, end)]
     wanted.max_acceleration, wanted.max_jerk = [float(limits[1])], [float(limits[2])]
     if ruckig.Ruckig(1).calculate(wanted, found) not in (ruckig.Result.Working, ruckig.Result.Finished):
-        raise ConfigError("limits", limits.tolist(), "limits under which the path can be followed")
+        raise ConfigError("limits", limits.tolist(), "limits that allow the path")
     profile = found.profiles[0][0]
     ends = [length if length is not None else profile.p[-1], end]
     phases, moment = [], 0.0
@@ -167,20 +167,20 @@ def _run_profile(length: float | None, begin: float, end: float, limits: NDArray
 # --- legs --------------------------------------------------------------------------------
 
 ROUNDINGS = (0.3, 0.1, 0.03, 0.0)
-"""Largest cuts of a corner, m; the first with which a piece does what it must is taken."""
+"""Largest cuts of a corner, m, tried in order."""
 LOOK = 0.01
-"""Distance, m, and angle, rad, between two places at which a motion is tested."""
+"""Distance, m, and angle, rad, between two tested places of a motion."""
 PRESS_SECONDS = 0.1
-"""Rest after each press, s: whoever looks ten times a second sees it."""
+"""Rest after each press, s, long enough to be seen in samples of 10 Hz."""
 ASIDE = (1.0, 1.5, 2.0, 3.0)
-"""Lengths of the line by which a place near a solid is left, as shares of the clearance."""
+"""Lengths of the line that leaves a place near a solid, as shares of the clearance."""
 MISSED_BY = 1e-3
-"""Distance by which a way misses targets that it must not press, m."""
+"""Distance between a way and the targets that it must not press, m."""
 DETOUR_CHECKS = 20_000
 """Places that are tested at most for one way round."""
 HINGE_ROOM = 0.1
 """Distance that the base keeps from a door that swings open, beyond its thickness, along the doorway, m."""
-_LOST = 1e-6  # m and rad by which a motion may be held up
+_LOST = 1e-6  # largest obstruction of a motion, m and rad
 
 
 class Contact(NamedTuple):
@@ -191,7 +191,7 @@ class Contact(NamedTuple):
 
 
 class Grip(NamedTuple):
-    """An act of the hand, for which base and arm rest."""
+    """An act of the hand, while base and arm rest."""
 
     time: float  # s
     action: str  # name of the primitive: grip, release or use
@@ -218,7 +218,7 @@ def time_legs(plan: Plan, limits: MotionLimits, clearance: float) -> Iterator[Pr
 
 
 def _list_stops(plan: Plan, start: int, stop: int) -> list[int]:
-    """Indices of the states in a leg at which its motion rests."""
+    """Indices of the states of a leg where the motion rests."""
     touched, stops, last = [state.touching for state in plan.states], [], start
     for k in range(start + 1, stop + 1):
         begun = touched[k] & ~touched[k - 1]
@@ -238,15 +238,15 @@ def find_act(plan: Plan, index: int) -> str:
 
 
 def differ_in_boxes(room: RoomInstance, one: RoomState, other: RoomState) -> bool:
-    """Return whether something that can be pushed stands in other cells in two states."""
+    """Return whether something that can be pushed is in other cells in two states."""
     return isinstance(room.puzzle, Pushing) and one.puzzle != other.puzzle
 
 
 class Mover:
     """A room's robot in motion: its coordinates, their limits, and its paths played by kinematics with nothing random.
 
-    They are those of the room that plans are made in. But what is touched stays touched until it is left by the room's
-    own margin of presses, which under physics is more than takes to begin a touch.
+    These are the limits of the room that plans are made in. A touch lasts until the robot leaves the room's own margin
+    of presses, which under physics is larger than the margin that begins a touch.
     """
 
     def __init__(self, instance: RoomInstance, limits: MotionLimits, planner: str) -> None:
@@ -262,7 +262,7 @@ class Mover:
         return MotionPath(self._names, points, np.ones(len(self._names)), margin, self._planner)
 
     def _play(self, motion: TimedPath, state: RoomState) -> tuple[tuple[Contact, ...], RoomState] | None:
-        """Touches that begin in a motion of base and arm, and the last state; None where a solid is in the way."""
+        """Return the touches that begin in a motion of base and arm, and the last state, or None at a solid."""
         rules, contacts = self._rules, []
         for time, at in zip(*_list_looks(motion), strict=True):
             x, y, heading, *angles = at
@@ -336,9 +336,9 @@ class _Legs(Mover):
 
     def _keep_clear(self, places: NDArray[np.float64], avoided: _Discs, solids: _Discs
                     ) -> Iterator[NDArray[np.float64]]:
-        """Ways with the clearance that is asked for, half and a quarter of it.
+        """Yield ways with the requested clearance, half and a quarter of it.
 
-        But for straight lines out of the first place and into the last; where none leads away from a solid, a way may
+        Straight lines out of the first place and into the last are exempt. If none leads away from a solid, a way can
         come as near to it as that end is.
         """
         bare = [*avoided, *solids]
@@ -359,7 +359,7 @@ class _Legs(Mover):
                 yield way[np.append(True, np.hypot(*np.diff(way, axis=0).T) > 0.0)]
 
     def _go_round(self, places: NDArray[np.float64], discs: _Discs) -> NDArray[np.float64] | None:
-        """A way that OMPL finds round everything, shortened; None where it finds none."""
+        """Return a shortened way by OMPL round everything, or None if it finds none."""
         from hrl_escape.planning.paths.planners import find_joint_path  # loads OMPL
 
         if not all(_is_free(x, y, discs) for x, y in places[[0, -1]].tolist()):
@@ -390,7 +390,7 @@ class _Legs(Mover):
         poses = [self._get_pose(self._plan.states[begin])]
         for action, run in itertools.groupby(range(begin, end), key=lambda k: self._plan.primitives[k]):
             primitive = self._plan.instance.robot.actions.primitives[action]
-            for k in run if primitive.turn else (list(run)[-1],):  # a turn may go on past half a circle
+            for k in run if primitive.turn else (list(run)[-1],):  # a turn can pass half a circle
                 pose = self._get_pose(self._plan.states[k + 1])
                 pose[2] = poses[-1][2] + math.remainder(pose[2] - poses[-1][2], math.tau)
                 poses.append(pose)
@@ -441,12 +441,12 @@ def rest(motion: TimedPath) -> TimedPath:
 
 
 def act_at(pose: NDArray[np.float64], action: str) -> Press:
-    """A rest at a pose (coordinates,), at the beginning of which the hand acts."""
+    """Return a rest at a pose (coordinates,) with an act of the hand at its beginning."""
     return Press(rest(TimedPath(np.zeros(1), pose[None], np.zeros_like(pose)[None])), (), (Grip(0.0, action),))
 
 
 _Discs = list[tuple[Footprint, float]]
-"""Footprints, and how near the axis may come to each."""
+"""Footprints, and the least distance of the axis from each."""
 
 
 def _grow(discs: _Discs, ends: NDArray[np.float64], clearance: float) -> _Discs:
@@ -465,7 +465,7 @@ def _is_clear(start: Sequence[float], end: Sequence[float], discs: _Discs) -> bo
 
 
 def _shorten(places: NDArray[np.float64], discs: _Discs) -> NDArray[np.float64] | None:
-    """Some of the places, by which straight lines go round everything; None where they do not lead on."""
+    """Select places that straight lines round everything connect, or return None if they lead nowhere."""
     kept, last, line = [0], len(places) - 1, places.tolist()
     while kept[-1] < last:
         at = kept[-1]

@@ -289,7 +289,7 @@ class MotionSampler(Mover):
         turn = np.array([[shape.cos, shape.sin], [-shape.sin, shape.cos]])
 
         def go_on(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-            """Direction of the shortest way to the target, and where the base comes to on it."""
+            """Return the direction of the shortest way to the target, and the place where the base meets it."""
             local, half = turn @ (place - (shape.x, shape.y)), np.array([shape.half_x, shape.half_y])
             ahead = turn.T @ (np.clip(local, -half, half) - local)
             (x, y), (dx, dy), gap = place.tolist(), ahead.tolist(), max(math.hypot(*ahead), 1e-9)
@@ -331,7 +331,7 @@ class MotionSampler(Mover):
         return Reacher(self._room)
 
     def _list_presses(self, state: RoomState, goal: PressGoal, grips: bool) -> Iterator[list[MotionPath]]:
-        """The arm's motion from where the base stands, then ways to places from which the hand gets to a target.
+        """Yield the arm's motion from the place of the base, then ways to places where the hand reaches a target.
 
         A hand that touches the target already also leaves it and comes back.
         """

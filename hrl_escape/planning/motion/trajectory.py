@@ -31,7 +31,7 @@ from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
 
 EFFORT_RATE = 100.0
-"""Samples per second at which the efforts of joints are computed, Hz."""
+"""Sampling rate of the efforts of joints, Hz."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -175,8 +175,8 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         The trajectory.
 
     Raises:
-        ConfigError: nothing moves, a joint would exceed its limits (it can begin up to `SOFT_LIMIT` beyond them), its
-            effort does not hold the arm, or the clearance is negative.
+        ConfigError: the plan has no motion, a joint would exceed its limits (it can begin up to `SOFT_LIMIT` beyond
+            them), its effort does not hold the arm, or the clearance is negative.
         UnsupportedError: no trajectory presses and pushes what the plan does.
     """
     if not (isinstance(clearance, (int, float)) and 0 <= clearance < math.inf):
@@ -194,7 +194,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
 
 def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionLimits, robot: Robot | None, name: str
                  ) -> TimedTrajectory:
-    """Join pieces, each of which begins where the one before ends, and slow them down to the limits of the arm.
+    """Join pieces, where each begins at the end of the one before, and slow them down to the limits of the arm.
 
     All pieces keep the limits. A bare path has no robot. The name is the motion's, for errors.
 
@@ -260,7 +260,7 @@ def _keep_efforts(trajectory: TimedTrajectory, robot: Robot) -> TimedTrajectory:
 
 
 def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the knots of all parts in one array, with headings that continue those of the part before."""
+    """Return the knots of all parts in one array, with headings unwrapped across parts."""
     if "heading" in names:
         column = names.index("heading")
         last = float(knots[0][-1, column])
@@ -275,13 +275,13 @@ def _unwind(names: Sequence[str], knots: list[NDArray[np.float64]]) -> NDArray[n
 # --- driving ---------------------------------------------------------------------------
 
 SHOVE = 0.05
-"""Distance, m or rad, by which a target is pushed that should be touched and is not, as under physics."""
+"""Further push at a target that should be touched and is not, m or rad, as under physics."""
 LONGEST_WAIT = 2.0
 """Longest wait for a press, s."""
 APPROACH = 0.05
 """Time before a touch whose direction is the direction of the push, s."""
 STEP_SHARES = (1.0, 0.5, 0.25, 0.125, 0.0625)
-"""Shares of a step by which a trajectory's clock advances; the first that nothing blocks is used."""
+"""Shares of a step to advance a trajectory's clock; the first without a collision is used."""
 ASTRAY = 1e-3
 """Distance from its first place, m or rad, within which a trajectory can start."""
 
@@ -362,7 +362,7 @@ class Tracker:
         return np.array([cos * rates[0] + sin * rates[1], *sides, *rates[2:], *list_levels(robot, grip)])
 
     def _find_next(self) -> float:
-        """Return the time of the trajectory to which the next step leads, at most the next act of the hand."""
+        """Return the time of the trajectory after the next step, at most the next act of the hand."""
         last, rules = min([self._trajectory.duration, *(act.time for act in self._acts[:1])]), self._rules
         after = [min(self._now + share * self._step, last) for share in STEP_SHARES]
         if isinstance(rules, Kinematics) and rules.instance.dynamics.blocked == "stay":

@@ -42,7 +42,7 @@ from hrl_escape.planning.paths.problem import (
 
 MOST_GOALS = 24
 POSE_PLACES = 400
-"""Places of a goal at which a rectangular base is tried at all headings."""
+"""Places of a goal where all headings of a rectangular base are tried."""
 
 
 class Navigator:
@@ -76,8 +76,7 @@ class Navigator:
 
         Args:
             start: first place, m.
-            goal: the goal (for a press, any place from which the body touches the target), or places (n, 2) of
-                which any will do.
+            goal: the goal (for a press, any place where the body touches the target), or alternative places (n, 2).
             planner: one of `list_planners()`.
             seed: the same seed gives the same path, in any process.
             optimise: search until the budget is spent and return the shortest path found, for planners that keep
@@ -92,7 +91,7 @@ class Navigator:
         Raises:
             UnknownNameError: no planner of that name.
             GoalError: a press by hand, no such target, or a start or goal that is none.
-            ConfigError: seed or budget is no whole number in its range.
+            ConfigError: seed or budget is not an integer in its range.
             UnsupportedError: the goal is a push, or the planner knows no poses and the base is a rectangle.
             PathPlannerError: the planner failed, or returned no path.
         """
@@ -171,7 +170,7 @@ class Navigator:
 
     def _find_goals(self, collision: CollisionMap, start: tuple[float, float],
                     goal: Goal | NDArray[np.float64], clock: Clock) -> tuple[Status | None, NDArray[np.float64]]:
-        """Free places of the goal that may be connected with the start, or the status if there are none."""
+        """Return the free places of the goal that can be connected with the start, or the status without any."""
         none = np.zeros((0, 2))
         proof = None
         if isinstance(goal, np.ndarray):
@@ -257,7 +256,7 @@ def _read_path(answer: Any, name: str, start: NDArray[np.float64]) -> NDArray[np
 
 
 _ASIDE = (1.0, 1.5, 2.0, 4.0)
-"""Margins by which a pose in contact is left before the search."""
+"""Margins to leave a pose in contact before the search."""
 _MOST_ENDS = 64
 
 
@@ -268,10 +267,10 @@ def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: ND
     Args:
         collision: the room.
         start: x, y and heading, shape (3,), m and rad; the base fits there.
-        ends: poses of which any will do, shape (n, 3); the base fits there.
+        ends: alternative last poses, shape (n, 3); the base fits there.
         planner: one of `OMPL_PLANNERS`.
         seed: the same seed gives the same path.
-        budget: poses that may be tested, and the time limit.
+        budget: most poses to test, and the time limit.
 
     Returns:
         Poses to go through in straight lines while turning evenly, shape (k, 3), or None.

@@ -32,7 +32,7 @@ OMPL_PLANNERS = ("BFMT", "BITstar", "BKPIECE1", "FMT", "InformedRRTstar", "KPIEC
 ANYTIME = ("BITstar", "InformedRRTstar", "RRTstar", "SORRTstar")
 """Planners whose paths become shorter the longer they search."""
 STAGES = (5_000, 10_000, 20_000, 40_000, 80_000, 160_000, 320_000)
-"""Checker calls after which an anytime planner is asked for its path in the plane."""
+"""Numbers of checker calls that end the stages of an anytime planner in the plane."""
 
 
 def register_planner(name: str, factory: PlannerFactory) -> None:
@@ -102,8 +102,7 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         budget: maximum number of tested places, and the time limit.
         planner: one of `OMPL_PLANNERS`.
         seed: equal seeds give equal paths.
-        is_move_free: tests a whole straight motion between two places, of which the first is free. `spacing` then has
-            no effect.
+        is_move_free: tests a whole straight motion from a free place to another. `spacing` then has no effect.
 
     Returns:
         Places to go through in straight lines, (k, n), or None if the planner gave up or the budget is used up.
@@ -139,9 +138,9 @@ def _search(planner: str, low: NDArray[np.float64], high: NDArray[np.float64], s
             is_move_free: Callable[[Any, Any], bool] | None = None) -> NDArray[np.float64] | None:
     """Search by a planner of OMPL, set up and seeded afresh; its path may end short of every goal.
 
-    A planner of `ANYTIME` stops at the first stage (checker calls) that has a path, or, to `optimise`, goes on until
+    A planner of `ANYTIME` stops at the first stage (checker calls) that has a path, or, to `optimise`, continues until
     the budget is spent and returns the shortest path of all stages. The others have the whole budget for their only
-    path: BFMT, interrupted, cannot go on. `is_free` tests a state of OMPL and charges the budget; raises `Spent` if
+    path: BFMT, interrupted, cannot continue. `is_free` tests a state of OMPL and charges the budget; raises `Spent` if
     that ends before any path. Motions are tested by places on them, or whole by `is_move_free`.
     """
     information, (_, scratch) = _make_information(low, high, is_free, spacing, is_move_free), _get_scratch(len(low))

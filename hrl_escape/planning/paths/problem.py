@@ -23,7 +23,7 @@ CHECKER_CALLS = 200_000
 DEFAULT_PLANNER = "RRTConnect"
 """Name of the path planner that is used by default."""
 SPACING = 0.1
-"""Largest distance of the places at which a motion is tested, m."""
+"""Largest distance between tested places of a motion, m."""
 _DIRECTIONS = 16
 
 Status: TypeAlias = Literal["exact", "approximate", "not-found", "budget-exhausted", "timeout", "no-path",
@@ -81,7 +81,7 @@ class PathProblem(CheckerBudget):
 
     Attributes:
         start: first place, shape (2,), m.
-        goals: places of which any will do, shape (n, 2), m; the nearest to the start comes first.
+        goals: alternative last places, shape (n, 2), m; the nearest to the start comes first.
         low: corner of the floor, shape (2,), m.
         high: opposite corner, shape (2,), m.
         spacing: a motion is free if places on it at most this far apart are free, m.
@@ -160,7 +160,7 @@ class MotionPath:
     names: tuple[str, ...]  # of the coordinates: joints, or `x`, `y`, `heading` and joints
     points: NDArray[np.float64]  # places to go through, shape (n, coordinates), m and rad
     scale: NDArray[np.float64]
-    """Metres by which a point of the robot moves at most for each unit of a coordinate, shape (coordinates,)."""
+    """Largest motion of a point of the robot for each unit of a coordinate, m, shape (coordinates,)."""
     margin: float  # largest deviation from the path without a collision, in metres of motion
     planner: str  # planner that found it
     checks: int = 0  # places that were tested

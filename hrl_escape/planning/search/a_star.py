@@ -43,7 +43,7 @@ class Motions(NamedTuple):
     stays: bool  # a blocked move is not made at all
     presser: NDArray[np.float64]  # position of the presser relative to the body's axis, shape (headings, 2), m
     targets: NDArray[np.float64]  # footprints of the targets, shape (n, 7)
-    reaches: NDArray[np.float64]  # floor distance at which the presser touches each target, or -1, shape (n,), m
+    reaches: NDArray[np.float64]  # floor distance where the presser touches each target, or -1, shape (n,), m
     pressers: NDArray[np.bool_]  # True where the outline of `base` must touch the target, bool, shape (n,)
     base: Presser  # the base whose outline presses
 
@@ -66,18 +66,18 @@ class SearchQuery(NamedTuple):
     reaches: NDArray[np.float64]
     pressers: NDArray[np.bool_]
     base: Presser
-    forbidden: np.uint64  # bits of the targets that must not be touched anew
+    forbidden: np.uint64  # bits of the targets that must not be touched again
     keep_out: NDArray[np.float64]  # footprints that the body must not meet, shape (n, 7)
     closed: NDArray[np.float64]
     """Rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max."""
     target: int  # index of the target to press, or -1
     goal: NDArray[np.float64]  # footprint of the goal (of the target, if one is to be pressed), shape (7,)
     goal_reach: float  # largest distance from `goal` that reaches it, m; negative if none does
-    goal_headings: NDArray[np.bool_]  # headings at which it is reached, shape (headings,), bool
+    goal_headings: NDArray[np.bool_]  # headings that reach it, shape (headings,), bool
     field: NDArray[np.int16]
     """Cost-to-go of (cell, layer), shape (cells * layers,), int16; poses where it is -1 are pruned."""
     layers: int  # headings that the field distinguishes
-    shift: int  # whole turn steps by which the field's headings lag behind the query's
+    shift: int  # whole turn steps that the field's headings lag behind the query's
     low: NDArray[np.float64]  # corner of the field's grid, shape (2,), m
     size: float  # side of its cells, m
     rows: int  # its cells along y
@@ -146,7 +146,7 @@ def _estimate_cost_to_go(query, x, y, layer):
 
 @kernel_part
 def find_slot(frontier, key):
-    """Slot of the hash table that holds a key, or the empty one in which it would lie."""
+    """Return the slot of the hash table with a key, or the empty slot for it."""
     mask = frontier.keys.shape[0] - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = np.int64(mixed >> np.uint64(32)) & mask
@@ -297,7 +297,7 @@ def expand_until_goal(scene, query, frontier, expansions):
         scene: the room.
         query: the query.
         frontier: nodes so far (none at first); changed in place.
-        expansions: total number of expanded nodes at which to stop.
+        expansions: maximum total number of expanded nodes.
 
     Returns:
         The goal node, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
@@ -337,15 +337,14 @@ class JointQuery(NamedTuple):
     pressers: NDArray[np.bool_]
     base: Presser
     presses: NDArray[np.int64]
-    """Number of the puzzle state after a press of each target, shape (puzzles, n), int64; -1 for one from which no
-    field leads on."""
-    solved: NDArray[np.bool_]  # True for the puzzle states in which the exit is open, bool, shape (puzzles,)
+    """Number of the puzzle state after a press of each target, shape (puzzles, n), int64; -1 without a field there."""
+    solved: NDArray[np.bool_]  # True for the puzzle states with an open exit, bool, shape (puzzles,)
     exit: NDArray[np.float64]  # rectangle (x_min, x_max, y_min, y_max), shape (4,), m
     fields: NDArray[np.int16]
     """Cost-to-go of (cell, layer) in each field, shape (fields, cells * layers), int16; -1 where pruned."""
     field_of: NDArray[np.int64]  # field of each puzzle state, shape (puzzles,), int64
     layers: int  # headings that the fields distinguish
-    shift: int  # whole turn steps by which the fields' headings lag behind the query's
+    shift: int  # whole turn steps that the fields' headings lag behind the query's
     low: NDArray[np.float64]  # corner of the fields' grid, shape (2,), m
     size: float  # side of its cells, m
     rows: int  # its cells along y
@@ -429,7 +428,7 @@ def expand_until_escape(shut, opened, query, frontier, expansions):
         query: the query.
         frontier: nodes so far (none at first); changed in place. The first fact of a node is the number of its puzzle
             state times the number of headings, plus its heading.
-        expansions: total number of expanded nodes at which to stop.
+        expansions: maximum total number of expanded nodes.
 
     Returns:
         The node of the escape, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.

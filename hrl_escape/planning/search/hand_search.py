@@ -1,7 +1,7 @@
 """Joint search for whole escapes by hand: a beam search over presses, each planned with the rest of the escape.
 
-After a press by hand the arm's posture counts as well as the base's pose, so no field over poses tells exactly what the
-rest costs. Fields of the puzzle's states tell it with an arm that reaches at once. A leg is searched by base and arm
+After a press by hand the arm's posture counts as well as the base's pose, so no field over poses gives the exact cost
+of the rest. Fields of the puzzle's states give it for an arm that reaches at once. A leg is searched by base and arm
 together, and ends where its primitives and such a field are least; several of its ends are kept. The next leg's own
 field, with the joint steps from the posture, ranks the ends to continue from. Kinematic arms pass through everything,
 so base and arm meet only in the presses.
@@ -34,7 +34,7 @@ ENDS_TRIED = 3
 NODES_A_PRESS = 20_000
 """Search nodes of a leg to a press."""
 SLACK = 1
-"""Primitives by which a field may overestimate the rest: only ends worse by more are dropped."""
+"""Largest overestimate of a field in primitives: only ends worse by more are dropped."""
 
 
 class Beam(NamedTuple):
@@ -84,7 +84,7 @@ class HandSearch(JointSearch):
         self._problems: dict[Hashable, _Search] = {}
 
     def find_presses(self, state: RoomState, target: int) -> Presses:
-        """Poses from which the arm reaches a target at all; joint steps are not counted."""
+        """Find the poses where the arm reaches a target at all; joint steps are not counted."""
         if target not in self._presses:
             problem = self._legs.make_problem(state._replace(joint_steps=(0,) * len(state.joint_steps)),
                                               PressGoal(target))
@@ -132,7 +132,7 @@ class HandSearch(JointSearch):
         return best, spent
 
     def _open_legs(self, begun: _Begun, rests: Fields, clock: Clock) -> _Begun:
-        """List the legs that may come next, and estimate the rest by them. Raises `OutOfTime`."""
+        """List the legs that can come next, and estimate the rest by them. Raises `OutOfTime`."""
         state, puzzle = begun.state, self.rules.instance.puzzle
         legs = []
         if puzzle.is_solved(state.puzzle):
@@ -202,6 +202,6 @@ class HandSearch(JointSearch):
         return state.puzzle, column, row, sector, state.joint_steps
 
     def _look_up(self, rests: Fields, state: RoomState) -> int:
-        """Estimate by the fields of the primitives that are left; -1 if there is no way out."""
+        """Estimate by the fields of the primitives that are left; -1 without a way out."""
         field = rests.get(state.puzzle)
         return -1 if field is None else self._shut.get_cost(field, state)

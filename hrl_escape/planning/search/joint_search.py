@@ -1,8 +1,8 @@
 """Joint search for whole escapes: one A* over poses and puzzle states, whose legs end where the rest is short.
 
 Options reach one goal after another, each with the fewest primitives. They can end where the next leg is longer, or
-press in a costly order. Here every state of the puzzle has its own cost-to-go field. Its seeds are the poses from which
-one primitive presses a target, at the cost-to-go of the puzzle's next state where the primitive ends. A compiled A*
+press in a costly order. Here every state of the puzzle has its own cost-to-go field. Its seeds are the poses where one
+primitive presses a target, at the cost-to-go of the puzzle's next state where the primitive ends. A compiled A*
 over exact poses (`a_star.py`) follows these fields through all orders at once, and the room's kinematics replay the
 result. It is for presses by the body; presses by hand are in `hand_search.py`.
 """
@@ -36,7 +36,7 @@ number of nodes. First a quick plan and a shorter one, then searches that trust 
 NODES_A_LEG = 2_000
 """Maximum number of nodes expanded by the search for one leg."""
 FIRST_NODES = 1 << 14
-"""Nodes for which a search allocates memory at first."""
+"""Initial capacity of a search, in nodes."""
 _SLICE = 5_000
 """Nodes expanded between two checks of the time limit."""
 MOST_NODES = 1_000_000
@@ -51,7 +51,7 @@ _Ways: TypeAlias = tuple[tuple[int, int], ...]
 
 
 class Presses(NamedTuple):
-    """Poses of the grid from which a target is pressed."""
+    """Poses of the grid that press a target."""
 
     states: NDArray[np.int64]  # cell * layers + heading, shape (n,)
     places: NDArray[np.int64]  # where the press leads, as (cell, layer) of the grid, shape (n,)
@@ -149,7 +149,7 @@ class JointSearch:
         return list(known)
 
     def get_fields(self, state: RoomState, order: Sequence[Goal], clock: Clock) -> Fields:
-        """Return the fields of the puzzle states ahead, and reuse those of the previous call for the same states."""
+        """Return the fields of the puzzle states ahead, and reuse the previous call's fields for the same states."""
         key = (state.puzzle, tuple(order))
         if self._recent is None or self._recent[0] != key:
             if len(self._fields) > MOST_FIELDS:
@@ -196,7 +196,7 @@ class JointSearch:
         return self._shut.make_field(Seeds(np.concatenate(states), np.concatenate(costs), self._layers), clock=clock)
 
     def find_presses(self, state: RoomState, target: int) -> Presses:
-        """Find the poses from which one primitive presses a target; the pose of the state itself is not read."""
+        """Find the poses where one primitive presses a target; the pose of the state itself has no effect."""
         if target not in self._presses:
             maker, rules = self._shut, self.rules
             area = compute_goal_area(PressGoal(target), rules.instance)

@@ -1,7 +1,7 @@
 """Fewest primitives to a goal: A* over primitives on exact poses, with a cost-to-go field as heuristic.
 
-Poses are exactly those of the room's kinematics. Blocked moves end at the wall, which is how a body comes within a
-press margin. Poses within a bin count as one. Every plan is replayed through `Kinematics`, without noise and slip. The
+Poses are exactly the poses of the room's kinematics. Blocked moves end at the wall, so a body gets within a press
+margin. Poses within a bin count as one. Every plan is replayed through `Kinematics`, without noise and slip. The
 method `corridor` restricts the field to a corridor round an OMPL path. The arm's part of a press by hand comes from
 `reacher.py`.
 """
@@ -52,7 +52,7 @@ SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXP
 IMPROVEMENT = 2_000
 """Node budget of another search with a lower heuristic, after a plan found at the first weight."""
 SHORT = 8
-"""Longest plan that is searched again without the field, whose error may be as large as the plan."""
+"""Longest plan that is searched again without the field, where the field's error can be as large as the plan."""
 CORRIDORS = (3.0, 6.0)
 """Half widths of corridors, in moves."""
 MOST_REFINED_STATES = 6_000_000
@@ -86,7 +86,7 @@ class SearchResult:
     also_pressed: tuple[int, ...] = ()  # other targets that are pressed on the way because this could not be avoided
     method: str = "fields"  # `fields`, or the path planner round whose path it was found
     expansions: int = 0  # nodes expanded
-    timed_out: bool = False  # the clock cut the search short; without it the result may be better
+    timed_out: bool = False  # the clock cut the search short; without it the result can be better
     nearest: tuple[float, float] | None = None  # visited place (x, y) nearest to a goal that was not reached, m
 
     @property
@@ -101,7 +101,7 @@ class SearchProblem(NamedTuple):
     state: RoomState  # first state
     goal: Goal  # the goal
     area: Area  # area of the body's axis that reaches it; for a press by hand, a superset of that area
-    facing: NDArray[np.bool_] | None  # headings that reach it, shape (headings,); None if any will do
+    facing: NDArray[np.bool_] | None  # headings that reach it, shape (headings,), or None if any will do
     table: ReachTable | None  # joint steps of a press by hand from each pose
     keep_out: tuple[Footprint, ...]  # footprints that the body must not meet
     clock: Clock  # time limit
@@ -148,8 +148,8 @@ class SearchRun:
     def restart(self, *, offset: int = 0, weight: float = 1.0, most: int = a_star.MOST_PRIMITIVES) -> None:
         """Start with a heuristic; start again with another for a shorter plan, or for any plan with fewer nodes.
 
-        The offset is subtracted from the cost-to-go, against overestimates of the grid, or added if negative; the
-        weight is its factor: plans may be longer by it, and are found sooner. Plans of `most` primitives are too long.
+        The offset is subtracted from the cost-to-go, against overestimates of the grid, or added if negative. The
+        weight multiplies it: plans are found sooner and can be longer. Plans of `most` primitives are too long.
         """
         self._query = self._query._replace(offset=offset, weight=weight)
         self.end()
@@ -238,7 +238,7 @@ class SearchRun:
     # --- candidates --------------------------------------------------------------------
 
     def _finish(self, node: int) -> SearchResult | None:
-        """Complete and replay a goal node; None if it is dropped, or put back at its true, higher cost."""
+        """Complete and replay a goal node; return None if it is dropped, or put back at its true, higher cost."""
         primitives = self._completed.pop(node, None)
         if primitives is None:
             primitives = self._complete(node)
@@ -303,7 +303,7 @@ class SearchRun:
         return actions
 
     def _replay(self, primitives: Sequence[int]) -> SearchResult | None:
-        """Replay a plan by the room's kinematics, cut where the goal is first reached; None if it never is."""
+        """Replay a plan by the room's kinematics up to the goal; return None if it misses the goal."""
         goal, rules = self.problem.goal, self.kinematics
         states, pressed = [self.problem.state], 0
         for count, primitive in enumerate(primitives, 1):
@@ -392,7 +392,7 @@ class PrimitiveSearch:
         return self._makers[key]
 
     def adapt(self, instance: RoomInstance, kinematics: Kinematics) -> PrimitiveSearch:
-        """The search of an edited room, with the grids and fields that the edit leaves as they are; refined ones go."""
+        """Return the search of an edited room, which keeps the grids and fields that the edit does not change."""
         new, old = PrimitiveSearch(instance, kinematics), self.instance
         if _get_floor(instance) != _get_floor(old) or not instance.robot.base.turns_anywhere:
             return new
@@ -436,14 +436,14 @@ class PrimitiveSearch:
                 show no other way; `also_pressed` lists the targets touched then.
             refine: search finer grids, too, before giving up.
             keep_out: footprints that the body must not meet on its way, such as blocks.
-            budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
-            clock: time limit of the call that this one is part of; None leaves the decision to the budget.
+            budget_expansions: maximum number of expanded nodes; equal budgets give equal results on any machine.
+            clock: time limit of the calling function, or None for the budget only.
             seed: of the path planner.
             effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found.
 
         Raises:
             UnknownNameError: no such method or path planner.
-            GoalError: there is no such target.
+            GoalError: no such target.
             UnsupportedError: the goal is a push.
         """
         if method not in METHODS:
@@ -535,10 +535,10 @@ class PrimitiveSearch:
         return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
 
     def _find_proof(self, problem: SearchProblem, maker: FieldMaker) -> PlanningReason | None:
-        """Reason for which no way can lead to the goal, by the parts of the floor; None if one may.
+        """Return the reason why no way can lead to the goal, by the parts of the floor, or None without a proof.
 
-        A hand whose joints or heading lie off their lattice, or may come to by noise or physics, could reach it from
-        other postures than those that are looked at, so there nothing is proven.
+        If joints or heading lie off their lattice, or noise or physics can move them off it, a hand can reach the goal
+        from postures that are not tested. Then there is no proof.
         """
         x, y, collision = problem.state.x, problem.state.y, maker.collision
         if problem.table is None or problem.table.complete_to < NEVER:
@@ -555,7 +555,7 @@ class PrimitiveSearch:
         return PlanningReason.UNREACHABLE_PROVEN if is_exact else PlanningReason.UNREACHABLE_AT_RESOLUTION
 
     def _find_parts(self, problem: SearchProblem, maker: FieldMaker) -> frozenset[int]:
-        """Parts of the floor with a place from which some posture reaches the target to be pressed by hand.
+        """Return the parts of the floor where some posture reaches the target to be pressed by hand.
 
         They do not depend on the present posture, as long as its joints lie as far off their lattice.
         """
@@ -563,7 +563,7 @@ class PrimitiveSearch:
         table, state, collision = problem.table, problem.state, maker.collision
         key = maker.door_shut, problem.goal.target, state.joint_offsets, state.heading_offset
         if key not in self._parts:
-            if len(self._parts) >= MOST_PARTS:  # offsets from the lattice may be any
+            if len(self._parts) >= MOST_PARTS:  # offsets from the lattice can have any value
                 self._parts.clear()
             half = table.cell / 2 + _GRAIN
             places = table.get_centres()[(table.costs >= 0).any(axis=2)]
@@ -639,7 +639,7 @@ class PrimitiveSearch:
     # --- fields --------------------------------------------------------------------------
 
     def _find_field(self, problem: SearchProblem, maker: FieldMaker, explore: bool) -> Field | None:
-        """Field of a problem: that of its goal, or one of its own round the footprints to keep out of.
+        """Return the field of a problem's goal, or a field of its own round the footprints to keep out of.
 
         None where exploring the grid first shows that it would be -1 at the start.
         """
@@ -660,7 +660,7 @@ class PrimitiveSearch:
         return maker.get_field(self._make_key(problem), partial(self._find_seeds, problem), problem.clock)
 
     def _make_key(self, problem: SearchProblem) -> Hashable:
-        """Everything about a problem, except what to keep out of, on which its field depends."""
+        """Return the key of a problem's field: everything about the problem, except what to keep out of."""
         state = problem.state
         posture = None
         if problem.table is not None:
@@ -676,7 +676,7 @@ class PrimitiveSearch:
         return Seeds(*self.find_postures(problem, maker), maker.headings)
 
     def find_postures(self, problem: SearchProblem, maker: FieldMaker) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """States (cell * headings + heading) from which the arm completes the press, and its joint steps."""
+        """Return the states (cell * headings + heading) where the arm completes the press, and its joint steps."""
         assert problem.table is not None
         table, far = problem.table, np.iinfo(np.int16).max
         costs = np.where(table.costs < 0, far, table.costs)
@@ -694,7 +694,7 @@ class PrimitiveSearch:
 
 
 def _get_floor(instance: RoomInstance) -> tuple:
-    """Everything except solids on which the grids of a room depend."""
+    """Return everything except solids that the grids of a room depend on."""
     robot = instance.robot
     return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.actions,
             robot.turn_step_deg, instance.dynamics.press_margin, instance.dynamics.press_with)

@@ -32,7 +32,8 @@ class Leg(NamedTuple):
 
     cost: float  # primitives
     place: Any  # its end, as the planner of legs needs it to plan the next leg
-    facts: frozenset[str] | None = None  # facts that hold at its end; None for those that the operator's effects imply
+    facts: frozenset[str] | None = None
+    """Facts that hold at its end, or None for the facts that the operator's effects imply."""
 
 
 ExtendLeg: TypeAlias = Callable[[Any, Operator | None], Leg | None]
@@ -99,7 +100,7 @@ class TaskSearch:
 
     Args:
         model: propositions and operators.
-        goal: facts to make true; None for the model's own goal.
+        goal: facts to make true, or None for the model's own goal.
         lower_bound: (operator done last or None, operator to do or None for the last leg) -> primitives
             that this leg costs at least, from any place. A tighter bound is faster.
         relevant_only: leave out operators that the goal does not need. Legs planned one by one may end better after
@@ -193,7 +194,7 @@ class TaskSearch:
 
     def find_order(self, facts: frozenset[str], place: Any, extend: ExtendLeg, largest: int = LARGEST_SEARCH
                    ) -> TaskPlan | None:
-        """Find the order of fewest primitives from here; None if there is none.
+        """Find the order of fewest primitives from here, or None if there is none.
 
         Exact over orders unless more than `largest` legs would have to be examined; then the best of a
         beam search (over at most as many again), with the bound that the exact search had reached. Each
@@ -224,7 +225,7 @@ class TaskSearch:
                     ) -> list[TaskPlan]:
         """Find several cheap orders, cheapest first, by a beam search.
 
-        Unlike `find_order`, each (facts, last operator) keeps its `count` cheapest places, as the next leg may be
+        Unlike `find_order`, each (facts, last operator) keeps its `count` cheapest places, because the next leg can be
         shorter from a place that took longer to reach. About `most` legs are examined: the beam is as wide as that
         allows. Facts, place and `extend` are as in `find_order`.
         """

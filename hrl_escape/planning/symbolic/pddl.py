@@ -93,7 +93,7 @@ def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple
 
     Args:
         instance: the room.
-        state: where the problem begins; None for the start of an episode.
+        state: where the problem begins, or None for the start of an episode.
     """
     puzzle = instance.puzzle
     model = instance.symbolic_model

@@ -59,7 +59,7 @@ def make_runs(contender, final):
             for seed, score in enumerate(final)]
 
 
-@pytest.mark.parametrize(("gap", "verdict"), [(80, "dqn better"), (-80, "dqn worse"), (0, "not told apart")])
+@pytest.mark.parametrize(("gap", "verdict"), [(80, "dqn better"), (-80, "dqn worse"), (0, "no significant difference")])
 def test_the_verdict_follows_differences_between_runs_of_one_seed(gap, verdict):
     rng = np.random.default_rng(0)
     luck, own = rng.normal(0, 300, 10), rng.normal(0, 10, 10)  # what the runs of a seed share, and what they do not

@@ -39,7 +39,7 @@ def test_the_rule_of_the_highest_mean_over_all_numbers_of_environments_is_chosen
     assert choose_rule(make_rows(rate, CHOICE_COUNTS, 3)) == best
 
 
-@pytest.mark.parametrize(("gain", "says"), [(0, "no difference is shown"), (50, "learns more than"),
+@pytest.mark.parametrize(("gain", "says"), [(0, "there is no significant difference"), (50, "learns more than"),
                                             (-50, "learns less than")])
 def test_what_is_said_of_the_rule_follows_the_returns(gain, says):
     rows = make_rows(lambda rule, count: gain if rule == "one step" else 0, COUNTS)

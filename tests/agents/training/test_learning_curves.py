@@ -44,7 +44,7 @@ def find_sentence(rows, first, second):
 @pytest.mark.parametrize(("curves", "says"), [
     (make_curves(-300, 100, 5, 1), "`defaults` with 512 learns less than `defaults` with 1, by 200 ("),
     (make_curves(300, 100, 5, 1), "`defaults` with 512 learns more than `defaults` with 1, by 100 ("),
-    (make_curves(100, 100, 60, 1), "Between `defaults` with 512 and `defaults` with 1 no difference is shown over"),
+    (make_curves(100, 100, 60, 1), "Between `defaults` with 512 and `defaults` with 1 there is no significant"),
 ])
 def test_the_sentence_tells_who_learned_more_over_the_run(curves, says):
     one, many = Contender("defaults", 1), Contender("defaults", 512)
@@ -53,7 +53,7 @@ def test_the_sentence_tells_who_learned_more_over_the_run(curves, says):
 
 
 @pytest.mark.parametrize(("last", "says"), [
-    (100, "; at its end no difference is shown ("), (20, "; it ends 80 ("), (180, "; it ends 80 (")])
+    (100, "; at its end there is no significant difference ("), (20, "; it ends 80 ("), (180, "; it ends 80 (")])
 def test_where_it_ends_is_told_apart_from_how_it_got_there(last, says):
     one, many = Contender("defaults", 1), Contender("defaults", 512)
     rows = make_runs(one, make_curves(100, 100, 5)) + make_runs(many, make_curves(-900, last, 5, 2))
@@ -67,7 +67,7 @@ def test_the_first_may_end_elsewhere_though_no_difference_is_shown_over_the_run(
     curves = make_curves(100, 100, 60, 3)
     curves[:, -1] = 0
     sentence = find_sentence(make_runs(one, make_curves(100, 100, 5)) + make_runs(many, curves), many, one)
-    assert "no difference is shown over the run" in sentence and "; the first ends 100 (" in sentence
+    assert "there is no significant difference over the run" in sentence and "; the first ends 100 (" in sentence
     assert sentence.endswith(" lower.")
 
 

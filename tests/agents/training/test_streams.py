@@ -345,7 +345,7 @@ def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_say
         train("ppo", env, out=tmp_path / "run", **arguments)
     reset = SyncVectorEnv.reset
     monkeypatch.setattr(InterruptedPoles, "reset", lambda self, **given: reset(self, **(given | {"seed": 77})))
-    with pytest.warns(UserWarning, match="all episodes begin anew"):
+    with pytest.warns(UserWarning, match="all episodes begin again"):
         result = train("ppo", make_interrupted("poles"), out=tmp_path / "run", **arguments)
     assert result.resumed_at > 0 and result.primitives >= 400
 

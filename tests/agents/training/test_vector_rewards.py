@@ -347,7 +347,7 @@ def test_a_wrapped_batch_gives_the_sums_at_the_agents_discount(output):
 
 
 def test_the_environment_of_evaluations_must_be_given_where_wrappers_show_something_else():
-    with pytest.raises(AgentSettingsError, match="eval_env = None .* does what Spy does"):
+    with pytest.raises(AgentSettingsError, match="eval_env = None .* with the effect of Spy"):
         train("smdp-ppo+primitives", Spy(OptionsVectorEnv(2, "paper-one-button")), primitives=50, settings=SMALL)
     envs = many.RecordEpisodeStatistics(OptionsVectorEnv(2, "paper-one-button", observation="features"))
     assert train("smdp-ppo+primitives", envs, primitives=50, settings=SMALL, eval_episodes=0).primitives >= 50

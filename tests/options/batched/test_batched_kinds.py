@@ -207,7 +207,7 @@ def test_what_only_one_room_has_is_refused_by_name(argument, value):
 
 
 @pytest.mark.parametrize(("arguments", "error", "words"), [
-    ({"option_set": "press-reactive"}, UnsupportedError, "no functions of the state"),
+    ({"option_set": "press-reactive"}, UnsupportedError, "not by the state alone"),
     ({"option_set": "pres"}, UnknownNameError, "press-with-ancestors"),
     ({"options": OptionDegradation(latency=0.1)}, UnsupportedError, "latency"),
     ({"options": []}, UnsupportedError, "meta-actions only"),

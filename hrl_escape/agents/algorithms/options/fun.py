@@ -1,7 +1,7 @@
 """FeUdal Networks: a manager sets directions in a learned latent space, and a worker is rewarded for following them.
 
 Vezhnevets et al. (2017), with perceptrons instead of the convolutional front and both recurrent networks. With
-`horizon` 1 a direction applies to one decision, and there is no hierarchy: the ablation to compare results with.
+`horizon` 1 a direction applies to one decision, without a hierarchy: the ablation to compare results with.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""DIAYN: skills that can be told apart by where they lead, learned without any reward of the task.
+"""DIAYN: skills that a discriminator can distinguish by their final states, learned without the task's reward.
 
 Eysenbach, Gupta, Ibarz and Levine (2019), Diversity is all you need, on the clipped objective of PPO. The discriminator
-sees a goal space only: with a pose in what it sees, skills are told apart by the pose and press nothing.
+sees a goal space only: given a pose, it distinguishes skills by the pose, and they press nothing.
 """
 
 from __future__ import annotations
@@ -33,57 +33,58 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class DIAYNSettings(AgentSettings):
-    """Skills, what the discriminator sees and the clipped update of `diayn`."""
+    """Settings of `diayn`: skills, discriminator, and the clipped update."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive; per decision if `discounting` is `decision`."""
+    """Discount per primitive, or per decision if `discounting` is `decision`. Higher values look further ahead and
+    learn more slowly."""
     discounting: Literal["primitive", "decision"] = "primitive"
-    """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
-    worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""
+    """`primitive` discounts k primitives by gamma^k. `decision` sums their rewards and discounts by gamma, as the
+    paper's agents did."""
     bootstrap_on_truncation: bool = True
-    """Bootstrap from the state in which an episode was truncated; otherwise truncation counts as termination, as in
-    the paper's agents."""
+    """Bootstrap from the last state of a truncated episode. False treats a truncation as a termination, as in the
+    paper's agents."""
     clock: Literal["primitive", "decision"] = "primitive"
-    """Unit in which warm-up, update and exploration schedules count. With primitives, flat and option-level agents do
-    the same work on the same experience."""
+    """Unit of warm-up, updates and epsilon. With primitives an agent over options updates as often as a flat one."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     entropy_weight: Annotated[float, Range(0)] = 0.1
-    """Weight of the policy's entropy in the loss."""
+    """Weight of the policy's entropy in the loss. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
     gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    """Lambda of generalised advantage estimation. 1 has the most variance, and no bias from the critic."""
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
+    """Decisions collected before each round of updates, of all environments together."""
     stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
+    """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
+    many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
+    """Passes over a rollout. More learn more from it and move further from the policy that collected it."""
     batch_size: Annotated[int, Range(1)] = 64
     """Decisions in a minibatch of a rollout of `rollout` decisions."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Bound on how far the probability ratio may move to any advantage."""
+    """Bound on how far the probability ratio may move to any advantage. Smaller is slower and steadier."""
     normalise_advantages: bool = True
-    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Where no episode has escaped yet,
-    that blows noise up to full-sized steps; without it such steps are as small as the rewards."""
+    """Shift and scale the advantages of each minibatch to mean 0 and deviation 1. Before the first success that blows
+    noise up to full-sized steps."""
     options: Annotated[int, Range(2)] = 8
-    """Skills that are learned."""
+    """Number of skills."""
     goal: Literal["bits", "observation"] = "bits"
     """Part of the observation that the discriminator sees. `bits`: components of a flat Box that have only ever been 0
     or 1, in a room the puzzle's; all of a discrete observation. `observation`: everything."""
@@ -92,12 +93,12 @@ class DIAYNSettings(AgentSettings):
 
 
 class SkillHeads(OptionHeads):
-    """Networks of skills, drawn evenly, that never end by themselves."""
+    """Networks of skills, which are drawn evenly and never end by themselves."""
 
     names: ClassVar[tuple[str, ...]] = ("policy", "critic")
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """A skill never ends by itself, float64 (skills,)."""
+        """Return zeros, float64 (skills,), because skills never end by themselves."""
         return np.zeros(self.options)
 
     def compute_betas(self, observation: Tensor) -> Tensor:
@@ -105,7 +106,7 @@ class SkillHeads(OptionHeads):
         return torch.zeros((len(observation), self.options), device=observation.device)
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
-        """Probability of each skill, p(z), which is uniform, float64 (skills,)."""
+        """Return the uniform probability of each skill, p(z), float64 (skills,)."""
         return np.full(self.options, 1 / self.options)
 
     def compute_fresh_choice(self, observation: Tensor) -> Tensor:
@@ -116,13 +117,13 @@ class SkillHeads(OptionHeads):
 class DIAYN(OptionRolloutAgent):
     """One skill z an episode, drawn evenly, and PPO within skills.
 
-    A skill is paid
+    The reward of a skill is
 
         log q(z | g(s')) - log p(z),    p(z) = 1 / skills
 
     for every decision that leads to s', where q is the discriminator's forecast of the skill from the goal g(s') and
-    p(z) makes staying alive worth nothing where skills cannot be told apart. The task's reward is seen by the choice
-    among skills alone: in evaluation the one runs whose episodes earned the most in training.
+    p(z) makes the reward 0 if skills cannot be distinguished. The task's reward only affects the choice
+    among skills: evaluation runs the skill with the highest mean return in training.
     """
 
     settings: DIAYNSettings
@@ -145,23 +146,23 @@ class DIAYN(OptionRolloutAgent):
     # --- skills -----------------------------------------------------------------------
 
     def find_best_skill(self) -> int:
-        """The skill whose training episodes earned the most on average; the first before any has ended."""
+        """Return the skill with the highest mean return of training episodes, or 0 before the first."""
         means = np.where(self._episodes > 0, self._returns / np.maximum(self._episodes, 1), -np.inf)
         return int(means.argmax())
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the best skill at an observation, before any mask, (actions,)."""
+        """Return the logits of the best skill at an observation, unmasked, (actions,)."""
         return self.heads.compute("policy", observation).reshape(self.options, -1)[self.find_best_skill()]
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest action of the best skill."""
+        """Return the most probable action of the best skill."""
         self._shown = self.find_best_skill(), 0, observation
         return choose_best(self.compute_preferences(observation), action_mask)
 
     # --- learning ---------------------------------------------------------------------
 
     def observe(self, batch: Decisions) -> Mapping[str, float]:
-        """Store the decisions and what their episodes earned; update when the rollout is full."""
+        """Store the decisions and the returns of their episodes; update when the rollout is full."""
         over = batch.terminated | batch.truncated
         if self._many is None:
             self._note(batch.env, [self._option], batch.summed_reward, over, batch.next_observation)
@@ -172,18 +173,18 @@ class DIAYN(OptionRolloutAgent):
         return super().observe(batch)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
-        """Begin an episode in every environment, in which nothing has been earned."""
+        """Begin an episode in every environment, with a return of 0."""
         super().begin_episodes(num_envs, device)
         self._earned = np.zeros(num_envs)
 
     def move(self, device: torch.device) -> None:
-        """Move networks, optimisers and what waits for updates to a device."""
+        """Move networks, optimisers and collected decisions to a device."""
         super().move(device)
         self._judge.move(device)
 
     def _note(self, env: ArrayLike, option: ArrayLike, reward: ArrayLike, over: ArrayLike, reached: ArrayLike
               ) -> None:
-        """Add up what skills earn, and notice which components of observations are no bits; arrays (n, ...)."""
+        """Add up returns of skills, and find components of observations that are not bits; arrays (n, ...)."""
         env, option, over = np.asarray(env), np.asarray(option), np.asarray(over, dtype=np.bool_)
         if self._reader is not None and len(env):
             self._reader.notice(np.asarray(reached, dtype=np.float64).reshape(len(env), -1))
@@ -193,14 +194,14 @@ class DIAYN(OptionRolloutAgent):
         self._earned[env[over]] = 0.0
 
     def read_goals(self, observation: Tensor) -> Tensor:
-        """The part of encoded observations that the discriminator sees, the rest 0; (n, ...)."""
+        """Return encoded observations for the discriminator, with all other components 0; (n, ...)."""
         if self._reader is None:
             return observation
         seen = torch.zeros(observation.shape[1], device=observation.device)
         seen[self._reader.components] = 1.0
         if not seen.any() and not self._is_warned:
             self._is_warned = True
-            warnings.warn("diayn: no component of the observation is a bit, so that skills cannot be told apart; take "
+            warnings.warn("diayn: no component of the observation is a bit, so skills cannot be distinguished; set "
                           "goal=observation", stacklevel=2)
         return observation * seen
 
@@ -230,7 +231,7 @@ class DIAYN(OptionRolloutAgent):
 
     @property
     def _bits(self) -> NDArray[np.int64] | None:
-        """Components of the observation that are bits; None where the discriminator sees everything."""
+        """Components of the observation that are bits, or None if the discriminator sees everything."""
         return None if self._reader is None else self._reader.components
 
     @_bits.setter

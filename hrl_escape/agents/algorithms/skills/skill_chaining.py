@@ -1,7 +1,7 @@
 """Skill chaining: options built backwards from the goal, each leading to the states where the next can begin.
 
-Konidaris and Barto (2009), in tables. The initiation set of an option is learned: it includes states from which its
-target was reached within some decisions, if a way there is known. States whose runs fail are removed again.
+Konidaris and Barto (2009), in tables. The initiation set of an option is learned: it includes states that reached its
+target within some decisions, if a way there is known. States whose runs fail are removed again.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class SkillChain(Discovery):
         self.slots = settings.skills
         self.targets: dict[int, int] = {}
         self._sets: list[list[int]] = [[]]
-        """By level, the states from which its target was reached; the last level has no option yet."""
+        """By level, the states that reached its target; the last level has no option yet."""
         self._made: list[TableSkill] = []
         """Option of each level."""
         self._runs: list[list[int]] = []

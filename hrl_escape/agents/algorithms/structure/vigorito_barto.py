@@ -2,7 +2,7 @@
 
 Vigorito and Barto (2010), Intrinsically motivated hierarchical skill learning in structured environments. A decision
 tree per action and variable is split leaf by leaf (`trees.py`), and the expected information of a sample is the
-intrinsic reward. A leaf in which an action turns a bit on is an option: other options first turn on the bits that the
+intrinsic reward. A leaf where an action turns a bit on is an option: other options first turn on the bits that the
 leaf needs. The next experiment is the most rewarding one that options can reach, one after another. What has been
 learned therefore makes the rest reachable.
 """
@@ -144,7 +144,7 @@ class VigoritoBarto(FactoredRMax):
                         (packing.masks[p], 1 << int(packing.shifts[p])) for p in learner.hypotheses[believed]))
 
     def choose_towards(self, bit: int, state: int) -> int | None:
-        """Return the next action towards turning a bit on in a packed state; None if it is on or no way is known."""
+        """Return the next action towards turning a bit on in a packed state, or None if it is on or no way is known."""
         skills = self.find_skills()
         if state & bit:
             return None

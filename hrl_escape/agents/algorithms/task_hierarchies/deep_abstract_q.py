@@ -36,7 +36,7 @@ class DeepAbstractQSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     worker: Literal["network", "table"] = "network"
     """Algorithm of the workers: `dqn`, or `q-learning`."""
@@ -45,7 +45,8 @@ class DeepAbstractQSettings(AgentSettings):
     visits: Annotated[int, Range(1)] = 30
     """Tries of a step before its model is used; until then it is worth `optimistic_value`."""
     optimistic_value: float = 100.0
-    """Value of an unknown step, in units of return. No true value may be higher; higher values explore more."""
+    """Value of an unknown step, in units of return. It must bound all true values from above; higher values explore
+    more."""
     recency: Annotated[float, Range(0, 1)] = 0.05
     """Smallest weight of a step's latest outcome in its model, because workers improve; 0 weighs all equally."""
     worker_epsilon: Annotated[float, Range(0, 1)] = 0.1
@@ -171,7 +172,7 @@ class DeepAbstractQ(CallRunner):
             made = DQN if self.settings.worker == "network" else QLearning
             seed = int(np.random.SeedSequence([self._seed, *pair]).generate_state(1)[0])
             epsilon = self.settings.worker_epsilon
-            alone = {"n_step": 1} if made is DQN else {}  # environments take turns, and decisions in a row are no way
+            alone = {"n_step": 1} if made is DQN else {}  # consecutive decisions are of several environments
             self.workers[pair] = made(*self._spaces, seed, made.Settings(
                 gamma=self.settings.gamma, epsilon_start=epsilon, epsilon_end=epsilon, **alone))
         return self.workers[pair]

@@ -43,8 +43,8 @@ class Quadtree:
     """Function (observation at the order, observation) -> whether a search has succeeded; by default only the end of
     the episode is a success."""
     policy: Callable[[Any, tuple[int, int], int], int | None] | None = None
-    """Function (observation, cell, order) -> the primitive with which the last level follows an order about a cell of
-    the finest level, or None if there is none. By default this policy is learned."""
+    """Function (observation, cell, order) -> the primitive of the last level for an order about a cell of the finest
+    level, or None if there is none. By default this policy is learned."""
 
     def __post_init__(self) -> None:
         if self.depth < 0:
@@ -77,8 +77,7 @@ class FeudalTask(BaseTask):
         level: level of the cells that it observes and gives orders about. Below the tree's depth it observes the
             observation and chooses primitives.
         penalty: cost of leaving the cell against the order.
-        patience: primitives after which an order to the last level is abandoned, doubled for each level above; 0 never
-            abandons.
+        patience: most primitives of an order to the last level, doubled for each level above; 0 sets no limit.
     """
 
     def __init__(self, tree: Quadtree, level: int, primitives: int, penalty: float, patience: int) -> None:
@@ -203,7 +202,7 @@ class FeudalRlSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     penalty: Annotated[float, Range(0)] = 0.2
     """Cost to a manager of leaving its cell against the order. More makes managers follow orders more strictly."""
@@ -253,7 +252,7 @@ class FeudalRl(TabularRunner):
         return self.tables[task.name].get_values(self.make_key(task, view, order))
 
     def weigh(self, stack: Stack, view: Any, seen: Seen) -> NDArray[np.float64] | None:
-        """Return the level's values; None on the last level with a given policy."""
+        """Return the level's values, or None on the last level with a given policy."""
         task = _get_task(stack)
         return None if task.is_obedient else self.compute_choice_values(task, view, stack[-1].context)
 

@@ -1,7 +1,7 @@
-"""h-DQN: a manager that learns which goal to name, over a worker that learns to reach every goal.
+"""h-DQN: a manager that learns to choose goals, over a worker that learns to reach every goal.
 
 Kulkarni, Narasimhan, Saeedi and Tenenbaum (2016). Both are Q-learners, by tables or by networks.
-Other than in the paper, the manager discounts by gamma^k, the time that a goal took.
+Unlike in the paper, the manager discounts by gamma^k, with the duration k of a goal.
 """
 
 from __future__ import annotations
@@ -47,44 +47,45 @@ class HDqnSettings(AgentSettings):
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
+    """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform with zero bias, as in Keras; or orthogonal with zero bias,
+    usual for PPO."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
+    """Step size of Adam. Too large a step diverges."""
     max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
-    """Term in Adam's denominator; Keras has 1e-7."""
+    """Term in Adam's denominator; 1e-7 in Keras."""
     scale_observations: bool = True
-    """Map components with finite bounds in the observation space to [-1, 1]."""
+    """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
-    """Networks learn rewards times this; temperatures and logged values stay in units of return."""
+    """Factor on the rewards that networks learn. Smaller values suit larger returns. Temperatures and logged values
+    keep units of return."""
     bins: Annotated[int, Range(2)] = 11
-    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
+    More points make more, finer states. Binary components are unchanged."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this, in its own unit."""
+    """Unit to round unbounded components to multiples of. Smaller values make more, finer states."""
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
-    """Epsilon at the beginning."""
+    """Epsilon at the beginning; 1 acts at random."""
     epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """Epsilon from `epsilon_steps` on."""
+    """Epsilon from `epsilon_steps` on. More explores for longer and lowers the return of training episodes."""
     epsilon_steps: Annotated[int, Range(1)] = 5_000
-    """Steps of the clock over which epsilon falls linearly."""
+    """Number of clock steps of the linear decrease of epsilon. More explores for longer."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive: a reward k primitives later counts gamma^k."""
+    """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     values: Literal["network", "table"] = "network"
     """Networks over the observation and a one-hot goal, or tables over rounded observations."""
     patience: Annotated[int, Range(0)] = 100
-    """Primitives after which a goal is given up; 0 never gives up."""
+    """Most primitives for a goal; 0 sets no limit."""
     worker_epsilon_end: Annotated[float, Range(0, 1)] = 0.05
-    """The worker explores with this epsilon for a goal that it always reaches, with 1 for one that it never does."""
+    """Epsilon of the worker for a goal that it always reaches; it is 1 for a goal that it never reaches."""
     success_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
     """Weight of the latest call in the running success rate of a goal."""
     worker_warmup: Annotated[int, Range(0)] = 1_000
-    """Primitives for which goals are named at random and the manager does not learn."""
+    """Primitives at the start with random goals and without learning of the manager."""
     replay_capacity: Annotated[int, Range(1)] = 50_000
     """Decisions kept for replay, at each level."""
     batch_size: Annotated[int, Range(1)] = 32
@@ -102,18 +103,18 @@ class HDqnSettings(AgentSettings):
 class HDqn(CallRunner):
     """Q-learning at two levels of time.
 
-    The worker, told goal g, is paid f = gamma^(k-1) on reaching g by an action of k primitives, which ends its call:
+    The worker with goal g receives f = gamma^(k-1) on reaching g by an action of k primitives, which ends its call:
 
         Q1(s, a; g) <- f + gamma^k (1 - reached or terminated) max over a' of Q1(s', a'; g)
 
-    The manager named g at s; s', k primitives later, is where that call ended, and F = sum of gamma^i r_i on the way:
+    The manager chose g at s, the call ended at s' after k primitives, and F = sum of gamma^i r_i during the call:
 
         Q2(s, g) <- F + gamma^k (1 - terminated) max over g' of Q2(s', g')
 
-    s is the state in which g was chosen. A call that is given up, or cut, bootstraps at both levels.
+    s is the state at the choice of g. A call that is given up, or cut, bootstraps at both levels.
 
     Args:
-        goals: by default those that `make_goals` finds in the observation space. Where they come with a policy, the
+        goals: goals, by default from `make_goals` for the observation space. If they have a policy, the
             worker follows it and does not learn.
     """
 
@@ -155,7 +156,7 @@ class HDqn(CallRunner):
 
     def choose_greedy(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
                       ) -> int:
-        """The best goal, the best primitive towards it."""
+        """Choose the best goal, and the best primitive towards it."""
         if stack[-1].context is not None and self._is_planned:
             return int(legal.argmax())
         return choose_best(self._compute(view, stack[-1].context), legal, rng)
@@ -164,7 +165,7 @@ class HDqn(CallRunner):
         return (self.manager if goal is None else self.worker).compute(observation, goal)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Learn at each level whose decision came back."""
+        """Learn at each level with a completed decision."""
         metrics: dict[str, float] = {}
         for returned in returns:
             frame, decision = returned.frame, returned.decision
@@ -242,7 +243,7 @@ class _NetworkValues(Stateful):
         self._replay = Replay(Arrays(rng), settings.replay_capacity, shape, self._encoder.dtype, actions)
         self._rng, self._due = rng, 0.0
         self.waits = False
-        """Backups are stored, and updates left for later."""
+        """Store backups, without updates."""
 
     def _encode(self, observation: Any, goal: int | None) -> NDArray:
         encoded = self._encoder.encode(observation)
@@ -264,7 +265,7 @@ class _NetworkValues(Stateful):
         return 0.0 if self.waits else self.update()
 
     def update(self, most: int | None = None) -> float:
-        """Make the updates that are due; with `most`, no more, whose minibatches are larger for it."""
+        """Make the due updates; beyond `most`, minibatches grow instead."""
         loss, due, size = 0.0, int(self._due), self._settings.batch_size
         if due and len(self._replay) >= size:
             self._due -= due

@@ -55,7 +55,7 @@ class HUctSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "always"
-    """When to plan from the root again at each primitive, instead of running calls to their end: never, in evaluation
+    """Plan from the root again at each primitive, instead of running calls to their end: never, in evaluation
     only, or always."""
     simulations: Annotated[int, Range(1)] = 200
     """Simulations for each choice of each running task. More plan better and take longer."""
@@ -158,7 +158,7 @@ class HUct(CallRunner):
         return choose_best(self.plan(get_task(stack), seen, rng), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Store the outcome, if there is no simulator."""
+        """Store the outcome, unless the agent has a simulator."""
         if self._simulator is None:
             key = self._discretise(step.seen.observation), step.action
             after, mask, _ = step.next_seen

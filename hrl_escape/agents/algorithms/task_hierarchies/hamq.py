@@ -247,7 +247,7 @@ class Hamq(SwitchingAgent):
     def get_options(self) -> tuple[OptionPolicy, ...]:
         """Return every call of a machine with learned choices, run until it returns; or the whole program.
 
-        What a machine has learned depends on its callers. Calls are therefore named with their callers, as in
+        The policy of a machine depends on its callers. Calls are therefore named with their callers, as in
         `fetch > navigate(2)`.
         """
         machines = find_machines(self._program)
@@ -354,7 +354,7 @@ class _CallRun:
     def __init__(self, agent: Hamq, run: MachineRun) -> None:
         self._agent, self._run = agent, run
         self._is_told = False
-        """Whether the run has received the current moment and waits for its primitive."""
+        """The run has received the current moment and waits for its primitive."""
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         self.compute_termination(observation, action_mask)

@@ -50,7 +50,7 @@ class HiroSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     window: Annotated[int, Range(1)] = 10
     """c, number of primitives of a goal. Longer windows leave fewer, longer decisions to the manager."""
@@ -126,7 +126,7 @@ class Hiro(CallRunner):
         manager: Q2(s, g~) <- R + gamma^k max over g' of Q2(s', g'),
                  g~ = argmax over goals of sum over i of log pi(a_i | s_i, g_i),  g_(i+1) = h(s_i, g_i, s_(i+1))
 
-    pi is the softmax of Q1 over legal primitives. The sum is over the states in which primitives were chosen; the goal
+    pi is the softmax of Q1 over legal primitives. The sum is over the states where primitives were chosen; the goal
     that was set wins ties. The paper draws ten candidates; here every goal is one.
 
     Args:

@@ -29,7 +29,7 @@ class Hrac(Hiro):
 
     Args:
         goal_space: as for `hiro`.
-        count_steps: exact adjacency; None learns it.
+        count_steps: exact adjacency, or None to learn it.
     """
 
     STATE = (Kept("_adjacent", pack=lambda pairs: np.array([np.frombuffer(each) for each in sorted(pairs)]),

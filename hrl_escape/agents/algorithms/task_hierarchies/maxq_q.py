@@ -58,7 +58,7 @@ class MaxqQSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     pseudo_rewards: bool = True
     """Choose by completions with the pseudo-rewards of the task graph; False is MAXQ-0."""

@@ -56,7 +56,7 @@ class OptionKeyboardSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     patience: Annotated[int, Range(1)] = 50
     """Most primitives of a chord without an event."""
@@ -131,7 +131,7 @@ class OptionKeyboard(TabularRunner):
     """Three kinds of learning from each primitive and each chord.
 
         skill i   psi_i(s, a) <- phi + gamma^k psi_i(s', argmax over a' of psi_i(s', a')[i]), up to the first event
-        chord w   plays argmax over a of max over i of psi_i(s, a) w; nothing is learned
+        chord w   plays argmax over a of max over i of psi_i(s, a) w, without learning
         player    Q(s, w) <- R + gamma^k max over w' of Q(s', w')
 
     phi is 1 for the events that happen, discounted within an option of the environment. Every skill learns from every

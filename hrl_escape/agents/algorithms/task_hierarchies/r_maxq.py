@@ -43,13 +43,14 @@ class RMaxqSettings(AgentSettings):
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k. Higher values look further ahead."""
     polled: Literal["never", "evaluation", "always"] = "never"
-    """When to choose every running call again at each primitive, instead of running it to its end: never, in evaluation
+    """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
     visits: Annotated[int, Range(1)] = 1
     """m, samples that make a pair of state and primitive known. 1 is enough for deterministic outcomes; more are needed
     under noise."""
     optimistic_value: float = 100.0
-    """V_max, value of an unknown pair in units of return. No true value may be higher; higher values explore more."""
+    """V_max, value of an unknown pair in units of return. It must bound all true values from above; higher values
+    explore more."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
     """Tolerance of value iteration, which stops when all changes are smaller. Smaller values are more precise and
     slower."""
