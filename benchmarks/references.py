@@ -26,7 +26,7 @@ import tyro
 
 from hrl_escape.agents.spec import BAYES, ORACLE, AgentSpec
 from hrl_escape.benchmark.references.graph_family import GraphFamily, condition_on_room, make_family
-from hrl_escape.benchmark.references.registry import SEARCHES
+from hrl_escape.benchmark.references.registry import SEARCH_METHODS
 from hrl_escape.benchmark.rung_references import RungReferences
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import split_assignment
@@ -43,7 +43,7 @@ from hrl_escape.sets.rung import Rung, derive_seed
 
 _FOLDER = Path(__file__).parents[1] / "hrl_escape/benchmark/data/references"
 CHANCE, MOVES = "random-options", "random"
-YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": SEARCHES, "moves": (MOVES,)}
+YARDSTICKS: Mapping[str, tuple[str, ...]] = {"searchers": SEARCH_METHODS, "moves": (MOVES,)}
 """Agents whose best efficiency is the yardstick of an axis."""
 
 
@@ -102,8 +102,8 @@ def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) ->
 def measure_rung(rung: Rung, rooms: int) -> RungReferences:
     """References in the first test rooms."""
     tested, puzzle = rung.test[:rooms], rung.config.puzzle
-    found = {agent: play(agent, tested) for agent in (CHANCE, *SEARCHES, ORACLE)}
-    search, by = max((value, name) for name in SEARCHES if (value := found[name]) is not None)
+    found = {agent: play(agent, tested) for agent in (CHANCE, *SEARCH_METHODS, ORACLE)}
+    search, by = max((value, name) for name in SEARCH_METHODS if (value := found[name]) is not None)
     bayes = told = hidden = None
     if isinstance(puzzle, ButtonsConfig):
         try:

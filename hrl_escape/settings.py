@@ -159,7 +159,7 @@ class Settings:
     _error: ClassVar[type[ConfigError]] = ConfigError
     """Exception for invalid values in this family of settings."""
     _takes_ranges: ClassVar[bool] = False
-    """Whether numbers may be ranges."""
+    """True if numbers may be ranges."""
 
     def __post_init__(self) -> None:
         section = self._section or type(self).__name__

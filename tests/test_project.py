@@ -95,7 +95,7 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("agents.training.new", "benchmarks.machine", "the package knows neither"),
     ("viewer.new", "pybullet", "pybullet only in"),
     ("planning.arm.new", "ompl", "ompl only in"),
-    ("planning.new", "pinocchio", "pinocchio and coal only in"),
+    ("planning.new", "pinocchio", "pinocchio only in"),
     ("options.new", "torchrl", "torchrl only in"),
 ]
 

@@ -23,8 +23,8 @@ from hrl_escape.agents.registry import (
     get_agent_class,
     list_agents,
     list_hierarchy_agents,
-    list_offline_agents,
     list_many_env_agents,
+    list_offline_agents,
     split_name,
 )
 from hrl_escape.agents.spec import AgentSpec

@@ -33,7 +33,7 @@ CARD, ROOMS, RUN = "card.json", "rooms.csv", "run.zip"
 AGENT_ARCHIVE = ArchiveKind("a trained agent", re.compile(r"card\.json|rooms\.csv|run\.zip"),
                             "Convert an archive of version 0.3 with `hrl-escape convert`, or make a new one with "
                             "`python -m benchmarks.pretrained`")
-LONGEST_TEXT = 200
+LONGEST_CARD_TEXT = 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,8 +91,8 @@ class AgentCard(Settings):
     def check(self) -> None:
         """Require short printable texts and a link that is an address."""
         for text in (self.name, self.information, self.link, self.training, *self.authors):
-            if len(text) > LONGEST_TEXT or not text.isprintable():
-                raise ConfigError("card", text, f"printable text of at most {LONGEST_TEXT} characters")
+            if len(text) > LONGEST_CARD_TEXT or not text.isprintable():
+                raise ConfigError("card", text, f"printable text of at most {LONGEST_CARD_TEXT} characters")
         if not self.name.strip() or not self.authors or not self.information.strip():
             raise ConfigError("card", self.to_dict(), "a name, authors, and the information that the agent has")
         if self.link and not re.fullmatch(r"https://[A-Za-z0-9._~/%+?=&#-]+", self.link):

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeAlias
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.benchmark.grid import Grid
-from hrl_escape.benchmark.references.registry import SWEEPS
+from hrl_escape.benchmark.references.registry import SWEEP_BASELINES
 from hrl_escape.errors import ConfigError
 from hrl_escape.sets.benchmark import Benchmark
 from hrl_escape.sets.grammar import THEN
@@ -160,7 +160,7 @@ def make_sequence_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[
     if len(rungs) != 1 if repeats else len(rungs) < 2 or len(set(rungs)) < len(rungs):
         raise ConfigError("rung", " ".join(rungs), "one rung with repeats above 1" if repeats else
                           "two or more with the protocol sequence, each once")
-    followers = [agent.label for agent in agents if agent.name in (*SWEEPS, TEXT_AGENT)]
+    followers = [agent.label for agent in agents if agent.name in (*SWEEP_BASELINES, TEXT_AGENT)]
     if followers:
         raise ConfigError("agents", followers[0], "an agent that does not follow the numbers of options, because "
                           "the rooms of a sequence have different options")

@@ -38,7 +38,7 @@ class ScoreRange:
     """Source of `best` and `fewest`: `planner`, or `ceiling` if no plan is known and an escape by the first primitive
     is assumed."""
     is_expected: bool = False
-    """Whether `best` and `fewest` are means over rollouts of the planner, in rooms with noise or slip; a single episode
+    """True if `best` and `fewest` are means over rollouts of the planner, in rooms with noise or slip; a single episode
     can be better."""
 
 

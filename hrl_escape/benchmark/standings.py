@@ -14,7 +14,7 @@ import numpy as np
 
 from hrl_escape.agents.spec import BAYES
 from hrl_escape.benchmark.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
-from hrl_escape.benchmark.references.registry import SEARCHES
+from hrl_escape.benchmark.references.registry import SEARCH_METHODS
 from hrl_escape.benchmark.statistics import Floats, Scores, compute_iqm
 from hrl_escape.benchmark.summary import AgentSummary, Summary
 from hrl_escape.sets.room_sequence import list_sets
@@ -100,7 +100,7 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
         efficiencies = [room for room in agent.efficiencies if len(room)]
         units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
         found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, parts))
-    searched = [own.agent.efficiency.value for own in found if own.agent.spec.name in SEARCHES]
+    searched = [own.agent.efficiency.value for own in found if own.agent.spec.name in SEARCH_METHODS]
     known = [own.agent.efficiency.value for own in found if own.agent.spec.name == BAYES]
     if not searched or not known:
         return found

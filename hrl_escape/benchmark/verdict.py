@@ -285,7 +285,7 @@ def _write_cautions(summary: Summary) -> list[str]:
     if unmatched:
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         "the score that the options' planners bring is unknown.")
-    if learners and not any(agent.spec.name in references.SEARCHES for agent in summary.agents):
+    if learners and not any(agent.spec.name in references.SEARCH_METHODS for agent in summary.agents):
         cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
                         "without learning is unknown.")
     for room in summary.rooms:

@@ -54,7 +54,7 @@ class RoomChoice:
 
     @property
     def is_given(self) -> bool:
-        """Whether a room or a change is given."""
+        """True if a room or a change is given."""
         return self.room is not None or bool(self.set)
 
     @property

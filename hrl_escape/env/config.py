@@ -228,7 +228,7 @@ class StartConfig(HashedSettings):
     _section = "start"
     _takes_ranges = True
     place: Literal["random", "fixed", "cells"] = "random"
-    """How start poses are chosen: sampled with the instance, fixed at x, y and heading_deg, or any free grid cell."""
+    """Choice of start poses: sampled with the instance, fixed at x, y and heading_deg, or any free grid cell."""
     x: Annotated[float, Range(-100, 100, "m")] = 0.0
     """Start position along x, for a fixed place."""
     y: Annotated[float, Range(-100, 100, "m")] = 0.0
@@ -251,7 +251,7 @@ class ExitConfig(HashedSettings):
     _section = "exit"
     _takes_ranges = True
     place: Literal["random", "fixed"] = "random"
-    """Where the exit is: against a random outer wall, or fixed at x, y."""
+    """Place of the exit: against a random outer wall, or fixed at x, y."""
     x: Annotated[float, Range(-110, 110, "m")] = 0.0
     """Centre of a fixed exit along x."""
     y: Annotated[float, Range(-110, 110, "m")] = 0.0

@@ -26,9 +26,9 @@ LARGEST_YAML = 2**16
 """Bytes of the largest YAML file of a map, 64 KiB."""
 LARGEST_IMAGE = 2**26
 """Bytes of the largest image of a map, 64 MiB."""
-MOST_CELLS = 25_000_000
+MOST_MAP_CELLS = 25_000_000
 """Cells of the largest map, such as 5,000 x 5,000."""
-FORMATS = ("PNG", "PPM", "BMP")
+IMAGE_FORMATS = ("PNG", "PPM", "BMP")
 """Image formats that nav2 recommends, by Pillow's names; `PPM` includes PGM."""
 _UNKNOWN, _OCCUPIED = -1, 100
 _LUMA = np.array([0.212656, 0.715158, 0.072186])  # Rec. 709, as in GraphicsMagick's greyscale
@@ -158,11 +158,11 @@ def _read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
-            image = Image.open(io.BytesIO(content), formats=FORMATS)
+            image = Image.open(io.BytesIO(content), formats=IMAGE_FORMATS)
         with image:
-            if image.width * image.height > MOST_CELLS:
+            if image.width * image.height > MOST_MAP_CELLS:
                 raise FileReadError(f"{path}: this map image has {image.width} x {image.height} pixels; at most "
-                                    f"{MOST_CELLS:,} are read")
+                                    f"{MOST_MAP_CELLS:,} are read")
             image.load()
             if image.mode in ("P", "PA"):
                 image = image.convert("RGBA" if "transparency" in image.info else "RGB")

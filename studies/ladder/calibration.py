@@ -1,4 +1,4 @@
-"""Whether a ladder is calibrated: random options fall from rung to rung, and the numbers of buttons hold no order.
+"""Calibration of a ladder: random options fall from rung to rung, and the numbers of buttons hold no order.
 
 Runs in one room are much alike, so tests are over rooms. Only cells of `LEAST_RUNS` runs or more count.
 """

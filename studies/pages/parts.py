@@ -36,7 +36,7 @@ def _stops_others(escapes: dict[tuple[str, str], dict[int, tuple[int, int]]]) ->
 
 
 def does_structure_pay_late(numbers: Any) -> bool:
-    """Where wrong presses do nothing, structure changes nothing up to 15 buttons, and with 20 no other run escapes."""
+    """If wrong presses have no effect, structure changes nothing up to 15 buttons, and with 20 no other run escapes."""
     ratios = numbers.parts.first.ratios["options + structure", "options", "ignore"]
     return all(ratio.median == 1 for size, ratio in ratios.items() if size <= 15) and not (
         numbers.parts.first.escapes["options", "ignore"][20][0])

@@ -1,4 +1,4 @@
-"""What learning over primitives costs against learning over options: ratios of primitives, tables and the figure."""
+"""Cost of learning over primitives against learning over options: ratios of primitives, tables and the figure."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ __all__ = ["Solution", "SolvedProbe", "SolvedRule", "compare_graphs"]
 
 @dataclass(frozen=True)
 class SolvedRule:
-    """When a room counts as solved.
+    """Rule by which a room counts as solved.
 
     A random agent does not improve, so its run ends with its first escape.
     """

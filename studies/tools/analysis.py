@@ -152,7 +152,7 @@ def compute_gain(one: Sequence[GameRun], other: Sequence[GameRun], resamples: in
 
 STEPS = {"memory": ("search-random", "random"), "places": ("search-nearest", "search-random"),
          "model": ("oracle", "search-nearest")}
-"""What is added -> the caller that has it, and the one without."""
+"""Added information -> the caller that has it, and the one without."""
 
 
 def analyse(study: Study, lines: Sequence[GameRun]) -> Findings:

@@ -34,7 +34,8 @@ def test_each_recommended_label_names_an_agent(choice):
 
 
 def test_what_is_said_of_one_room_is_what_was_measured():
-    rows = {name: read_row("all-algorithms.md", f"| {name} |")[:7] for name in ("R-MAX over options", *SEARCH_BASELINES)}
+    rows = {name: read_row("all-algorithms.md", f"| {name} |")[:7]
+            for name in ("R-MAX over options", *SEARCH_BASELINES)}
     assert all(len(row) == 7 for row in rows.values())
     assert f"Efficiency {tell_range(rows['R-MAX over options'])} after 20,000 primitives" in ROOM.reason
     assert f"has {tell_range(rows[BACKTRACK])}." in ROOM.reason

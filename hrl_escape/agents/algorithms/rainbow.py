@@ -153,7 +153,7 @@ class RainbowSettings(AgentSettings):
 
     @property
     def has_own_network(self) -> bool:
-        """Whether dueling, atoms or noise require more than a network of one number per action."""
+        """Return whether dueling, atoms or noise require more than a network of one number per action."""
         return self.dueling or self.atoms > 1 or self.noise > 0
 
     def check(self) -> None:

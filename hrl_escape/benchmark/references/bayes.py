@@ -29,7 +29,7 @@ from hrl_escape.benchmark.references.graph_family import (
     make_family,
 )
 from hrl_escape.benchmark.references.graph_particles import GraphParticles
-from hrl_escape.benchmark.references.path_lengths import follow_path, measure_paths
+from hrl_escape.benchmark.references.path_lengths import measure_paths, walk_path
 from hrl_escape.benchmark.references.search import SearchBaseline
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
@@ -142,7 +142,7 @@ class _Posterior:
     def choose(self, state: RoomState, targets: Sequence[int]) -> int:
         """Return the next button to press, among those with legal options."""
         lit = _get_bits(state)
-        legs = np.array([follow_path(self._planner, state, PressGoal(target))[1] for target in targets])
+        legs = np.array([walk_path(self._planner, state, PressGoal(target))[1] for target in targets])
         belief = None if self._graph is None else self._graph.find(lit, self._graphs)
         if self._graph is not None and belief is not None:
             at, count = np.array([belief]), self._puzzle.count

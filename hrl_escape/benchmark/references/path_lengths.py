@@ -39,18 +39,18 @@ def measure_paths(planner: RoomPlanner) -> PathLengths:
     legs = np.full(((count + 1) * count, count), _NO_PATH, np.float32)
     leaving = np.full((count + 1) * count, _NO_PATH, np.float32)
     start = planner.rules.make_state(room.starts[0])._replace(puzzle=(1 << count) - 1)
-    states = [*(follow_path(planner, start, PressGoal(target))[0] for target in range(count)), start]
+    states = [*(walk_path(planner, start, PressGoal(target))[0] for target in range(count)), start]
     for place, (before, button) in enumerate(itertools.product(states, range(count))):
-        state = before and follow_path(planner, before, PressGoal(button))[0]
+        state = before and walk_path(planner, before, PressGoal(button))[0]
         if state is not None:
-            legs[place] = [follow_path(planner, state, PressGoal(other))[1] for other in range(count)]
-            leaving[place] = follow_path(planner, state, ExitGoal())[1]
+            legs[place] = [walk_path(planner, state, PressGoal(other))[1] for other in range(count)]
+            leaving[place] = walk_path(planner, state, ExitGoal())[1]
     arrivals = np.tile(np.arange(count) * count, count + 1)[:, None] + np.arange(count)
     failure = room.reward.exit / -room.reward.step if room.reward.step < 0 else 0.0
     return PathLengths(legs, arrivals, leaving, failure)
 
 
-def follow_path(planner: RoomPlanner, state: RoomState, goal: Goal) -> tuple[RoomState | None, float]:
+def walk_path(planner: RoomPlanner, state: RoomState, goal: Goal) -> tuple[RoomState | None, float]:
     """Return the final state of a planned path and its primitives, or None and `_NO_PATH` without a path."""
     try:
         plan = planner.plan(state, goal)

@@ -47,11 +47,11 @@ _RULES: dict[str, type[Reference]] = {
     SWEEP: Sweep, SWEEP_RANDOM: SweepRandom, SEARCH_RANDOM: SearchRandom, SEARCH_NEAREST: SearchNearest,
     SEARCH_BACKTRACK: SearchBacktrack, BAYES: BayesPlanner, ORACLE: PlanFollower,
 }
-SWEEPS = (SWEEP, SWEEP_RANDOM)
+SWEEP_BASELINES = (SWEEP, SWEEP_RANDOM)
 """Search baselines that press buttons in the order of their numbers."""
-SEARCHES = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
+SEARCH_METHODS = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
 """Search baselines that read which buttons are on."""
-SEARCH_BASELINES = SWEEPS + SEARCHES
+SEARCH_BASELINES = SWEEP_BASELINES + SEARCH_METHODS
 """References that are given neither the dependency graph nor how rooms are drawn."""
 
 

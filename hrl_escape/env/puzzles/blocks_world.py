@@ -248,7 +248,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
     clear: tuple[Block, ...] = ()
     """Blocks that must be clear at the end."""
     free_hand: bool = False
-    """Whether the hand must be empty at the end."""
+    """True if the hand must be empty at the end."""
 
     def check(self) -> None:
         """Check that the towers are valid, and that the goal is reachable."""

@@ -76,7 +76,7 @@ class MarksConfig(HashedSettings):
 
     _section = "marks"
     kind: Literal["none", "rank", "needed", "wires"] = "none"
-    """What a mark encodes. `rank`: the number of buttons that must be on before its button, along the longest path.
+    """Meaning of a mark. `rank`: the number of buttons that must be on before its button, along the longest path.
     `needed`: whether the goal depends on the button. `wires`: the colour of the button that must be on before it."""
     levels: Annotated[int, Range(2, 64)] = 8
     """Number of ranks that marks distinguish; the last class includes all higher ranks. More of them reveal more."""

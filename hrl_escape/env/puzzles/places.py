@@ -47,7 +47,7 @@ class Panels(HashedSettings):
     inset: Annotated[float, Range(0, 50, "m")] | None = None
     """Distance of the centre from its wall, or None for flush panels."""
     places: Literal["random", "paper"] | tuple[Place, ...] = "random"
-    """Where panels are: anywhere on the walls, at the four places of the paper, or at explicit places."""
+    """Places of panels: anywhere on the walls, at the four places of the paper, or at explicit places."""
     gap: Annotated[float, Range(0, 50, "m")] = 0.0
     """Smallest gap between two random panels. Twice the robot's reach ensures that it touches only one at a time."""
 
@@ -63,7 +63,7 @@ class Pads(HashedSettings):
     depth: Annotated[float, Range(0.02, 200, "m")] = 2.0
     """Size along the pad's y."""
     places: Literal["random"] | tuple[Place, ...] = "random"
-    """Where pads are: anywhere on the floor parallel to the walls, or at explicit places."""
+    """Places of pads: anywhere on the floor parallel to the walls, or at explicit places."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -185,7 +185,7 @@ Key: TypeAlias = "str | Solid"
 
 
 class _Pairs(NamedTuple):
-    """What bounds the distances and motions of tested pairs of bodies; the second of a pair may be a solid."""
+    """Bounds of distances and motions of tested pairs of bodies; the second of a pair may be a solid."""
 
     first: NDArray[np.int64]  # (pairs,), numbers of geometry objects
     second: NDArray[np.int64]

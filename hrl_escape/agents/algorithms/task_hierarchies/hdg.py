@@ -121,7 +121,7 @@ class Hdg(SwitchingAgent):
         self._terminal: list[int] = []
         count = 1 if self._landmarks is None else len(self._landmarks.states)
         self._borders = np.eye(count, dtype=np.bool_)
-        """Whether regions are neighbours or equal, (regions, regions)."""
+        """True for regions that are neighbours or equal, (regions, regions)."""
         for state in () if self._landmarks is None else self._landmarks.states:
             self.number(state)
 
