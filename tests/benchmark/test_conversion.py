@@ -106,7 +106,7 @@ def test_the_command_converts_beside_the_file_and_leaves_it(tmp_path: Path, caps
 
 @pytest.mark.parametrize(("name", "content", "error", "words"), [
     ("game.jsonl", "{}", UnsupportedError, "convert takes"),
-    ("room.json", '{"config": {}}', UnsupportedError, "no grid"),
+    ("room.json", '{"config": {}}', UnsupportedError, "not a grid"),
     ("odd.zip", "text", FileReadError, "no archive"),
     ("notes.txt", "text", UnsupportedError, "convert takes"),
     ("new.toml", "format = 2\nagents = []", UnsupportedError, "format 2 already"),

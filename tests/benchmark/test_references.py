@@ -89,6 +89,6 @@ def test_references_run_in_a_comparison_without_training(tmp_path: Path):
 
 
 def test_a_reference_takes_no_settings():
-    with pytest.raises(GridError, match="no settings and no recipe"):
+    with pytest.raises(GridError, match="a reference has no settings"):
         AgentSpec(ORACLE, settings={"gamma": 0.5}).resolve_settings()
     assert AgentSpec(ORACLE).resolve_settings() == {}

@@ -127,10 +127,10 @@ def test_the_robot_s_urdf_is_given_by_its_path(capsys, tmp_path, monkeypatch):
 @pytest.mark.parametrize("mesh", ["package://boom/boom.obj", "boom.obj", "/gone/boom.obj"])
 def test_a_mesh_that_is_not_there_is_refused_before_a_room_is_sampled(capsys, tmp_path, mesh):
     (tmp_path / "arm4.urdf").write_text(URDF.format(mesh=mesh))
-    assert_refused(capsys, ["room", "--set", *ARM, f"robot.urdf={tmp_path / 'arm4.urdf'}"], f"the mesh {mesh!r}")
+    assert_refused(capsys, ["room", "--set", *ARM, f"robot.urdf={tmp_path / 'arm4.urdf'}"], mesh.split("/")[-1])
     robot = {"kind": "urdf", "joints": 1, "urdf": URDF.format(mesh=mesh)}
     (tmp_path / "mine.json").write_text(json.dumps({"robot": robot}))
-    assert_refused(capsys, ["room", "--room", str(tmp_path / "mine.json")], f"the mesh {mesh!r}")
+    assert_refused(capsys, ["room", "--room", str(tmp_path / "mine.json")], mesh.split("/")[-1])
 
 
 def test_tables_are_for_people(capsys):

@@ -88,7 +88,7 @@ def test_an_episode_of_one_decision_is_whole(tmp_path):
 
 def test_other_rooms_than_the_recordings_are_refused():
     about = {**make_recording().about, "rooms": "ladder-1/chain-3/train#0..2"}
-    with pytest.raises(FileReadError, match="ladder-1/chain-3/train.*not those of this version"):
+    with pytest.raises(FileReadError, match="ladder-1/chain-3/train.*differs in this version"):
         _ = change(about=about).rooms
 
 
