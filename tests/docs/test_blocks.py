@@ -43,7 +43,7 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     names: dict[str, object] = {"__name__": "page"}
     for block in BLOCKS[page]:
         if block.language == "python":
-            program = compile(block.text, name_page(page), "exec")
+            program = compile(block.text, name_page(page), "exec", dont_inherit=True)
             if not block.is_parsed_only:
                 exec(program, names)
 
@@ -172,7 +172,7 @@ def test_the_first_page_prints_what_it_shows(capsys: pytest.CaptureFixture[str])
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     program, printed = re.findall(r"```python\n(.+?)```\n\n```text\n(.+?)```", readme, re.S)[0]
     assert len(program.strip().splitlines()) <= 10
-    exec(compile(program, "README.md", "exec"), {"__name__": "page"})
+    exec(compile(program, "README.md", "exec", dont_inherit=True), {"__name__": "page"})
     assert printed in capsys.readouterr().out
 
 
