@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # loads OMPL and Ruckig
 
 MOST_MESH_CELLS = 5_000_000
 """Cells that a mesh may take, of its floor or of its faces."""
+_POSE = "x and y in m, and a heading in rad"
 RIM = 0.1
 """Thickness of the walls that stand round a world, m."""
 
@@ -91,7 +92,7 @@ class World:
                                 exit=Rectangle(half_x, half_x, half_y, half_y),  # a corner, where no axis comes
                                 puzzle=Nothing())
         world = cls(instance, (x, y))
-        at_x, at_y, heading = _read_start(start)
+        at_x, at_y, heading = _read_numbers("start", start, 3, _POSE)
         state = world.make_state(at_x, at_y, heading)
         begin = Start(state.x, state.y, state.heading_steps, state.heading_offset)
         world = cls(dataclasses.replace(instance, starts=(begin,)), (x, y))
@@ -191,16 +192,18 @@ class World:
         """State of the robot at a pose of your frame, m and rad, with joint angles, rad; None for those of its home.
 
         Angles of continuous joints may have any number of turns.
+
+        Raises:
+            ConfigError: a number is not finite, or the number of angles is not that of the joints.
         """
-        x, y, heading = _read_start((x, y, heading))
+        x, y, heading = _read_numbers("pose", (x, y, heading), 3, _POSE)
         rules, (at_x, at_y) = Kinematics(self.instance), self.to_room([x, y]).tolist()
         state = rules.make_state(Start(at_x, at_y, *rules.split_heading(heading)))
         if angles is None:
             return state
-        if not all(map(math.isfinite, angles)):
-            raise ConfigError("angles", angles, "finite numbers of rad")
-        turned = [math.remainder(angle, math.tau) if turns else float(angle)
-                  for angle, turns in zip(angles, rules.robot.continuous, strict=True)]
+        given = _read_numbers("angles", angles, len(rules.robot.joint_names), "joint angles in rad")
+        turned = [math.remainder(angle, math.tau) if turns else angle
+                  for angle, turns in zip(given, rules.robot.continuous, strict=True)]
         joint_steps, joint_offsets = rules.split_angles(turned)
         return state._replace(joint_steps=joint_steps, joint_offsets=joint_offsets)
 
@@ -249,14 +252,15 @@ class World:
         return moved
 
 
-def _read_start(start: Sequence[float]) -> tuple[float, float, float]:
+def _read_numbers(name: str, values: Sequence[float], count: int, valid: str) -> list[float]:
+    """Return so many finite numbers; `name` and `valid` are for the message."""
     try:
-        x, y, heading = (float(number) for number in start)
+        numbers = [float(value) for value in values]
     except (TypeError, ValueError):
-        raise ConfigError("start", start, "x and y in m, and a heading in rad") from None
-    if not all(map(math.isfinite, (x, y, heading))):
-        raise ConfigError("start", start, "three finite numbers: x and y in m, and a heading in rad")
-    return x, y, heading
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ConfigError(name, values, f"{count} finite numbers: {valid}")
+    return numbers
 
 
 def measure_edges(corners: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -215,6 +215,15 @@ def test_a_world_is_an_environment_and_an_arm_s_place_too():
     assert not any(step[2] for step in steps) and env.get_state().y == pytest.approx(4.0 - 0.4 - 1e-3, abs=0.01)
 
 
+def test_impossible_states_are_refused():
+    world = World.of([], RobotConfig(joints=2), (0.0, 0.0, 0.0), floor=(-4.0, 4.0, -4.0, 4.0))
+    for angles in ((0.1,), (0.1, 0.2, 0.3), (0.1, np.nan), "ab"):
+        with pytest.raises(ConfigError, match=r"^angles = .*2 finite numbers"):
+            world.make_state(0.0, 0.0, 0.0, angles)
+    with pytest.raises(ConfigError, match=r"^pose = .*3 finite numbers"):
+        world.make_state(0.0, np.inf)
+
+
 def test_impossible_worlds_are_refused(tmp_path):
     for start in ((1.0, 4.0, np.nan), (100.0, 100.0, 0.0), (1.0, 4.0), ("a", 0.0, 0.0)):
         with pytest.raises(ConfigError, match="^start = "):

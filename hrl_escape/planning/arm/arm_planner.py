@@ -9,10 +9,10 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -27,10 +27,11 @@ from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, Unkno
 from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
+from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics, Key
+from hrl_escape.planning.arm.motion_test import BaseTest, MotionTest, locate
 from hrl_escape.planning.arm.srdf import read_srdf
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
-from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath
+from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath, Spent
 
 CLEARANCE, OWN_CLEARANCE = 0.02, 0.001
 """Distances that a path keeps, m: of the robot from solids and the floor, and of its links from each other.
@@ -42,10 +43,8 @@ BASE_CLEARANCES = (0.02, 0.005, 0.001)  # m
 DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
 _CORNER_CLEARANCES = (0.02, 0.01, 0.005, 0.002)  # m, tried for a path with corners
-_BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
 CONFIGURATIONS = 200_000
 """Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
-_Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -112,7 +111,7 @@ class ArmPlanner:
 
     def _get_collisions(self, margin: float) -> ArmCollisions:
         if margin not in self._collisions:
-            self._collisions[margin] = self._touching.with_margin(margin)
+            self._collisions[margin] = self._touching.with_margins(margin, {})
         return self._collisions[margin]
 
     def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
@@ -339,103 +338,86 @@ class ArmPlanner:
         return np.concatenate([nearest, *others])
 
     def _search(self, state: RoomState, names: tuple[str, ...], box: tuple[NDArray[np.float64], NDArray[np.float64]],
-                start: NDArray[np.float64], goals: NDArray[np.float64], does_base_fit: _Test, planner: str, seed: int,
-                budget: int, time_limit: float | None) -> MotionPath:
+                start: NDArray[np.float64], goals: NDArray[np.float64], does_base_fit: BaseTest, planner: str,
+                seed: int, budget: int, time_limit: float | None) -> MotionPath:
         """Search in coordinates scaled to metres of motion, with a margin for every pair of bodies.
 
         Motions are tested whole, by conservative advancement: all along a path every pair keeps half of its margin.
         """
         if planner not in OMPL_PLANNERS:
             raise UnknownNameError("path planner", planner, OMPL_PLANNERS)
-        began, clock = read_clock(), Clock(time_limit)
-        place = (state.x, state.y, self.rules.get_heading(state))
-        joints = len(self.rules.robot.joint_names)
-
-        def locate(at: NDArray[np.float64]) -> tuple[float, float, float, list[float]]:
-            x, y, turn = at[:3].tolist() if names[:1] == ("x",) else place
-            return x, y, turn, at[-joints:].tolist()
+        began, clock, joints = read_clock(), Clock(time_limit), len(self.rules.robot.joint_names)
+        pose = (state.x, state.y, self.rules.get_heading(state))
+        place = None if len(start) > joints else pose
 
         def fail(reason: PlanningReason, nearest: str = "") -> PlanningFailed:
-            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,), nearest=nearest)
-
-        def find_fault(at: NDArray[np.float64]) -> str:
-            """Say why a path may not begin or end at a place; empty if it may."""
-            meets = self._get_collisions(0.0).list_collisions(*locate(at))
-            if meets or not does_base_fit(at, 0.0):
-                return ", ".join(meets) or "the base meets a solid"
-            near = plain.measure_near(*locate(at), within=OWN_CLEARANCE)
-            return ", ".join(f"nearer than {1000 * OWN_CLEARANCE:g} mm: {plain.describe(pair)}" for pair in near)
+            return PlanningFailed(reason, "configuration", pose, read_clock() - began, (planner,), nearest=nearest)
 
         plain = self._get_collisions(CLEARANCE)
-        if fault := find_fault(start):
-            raise fail(PlanningReason.START_INVALID, fault)
-        faults = [find_fault(goal) for goal in goals]
-        goals = np.array([goal for goal, fault in zip(goals, faults, strict=True) if not fault])
-        if not len(goals):
-            raise fail(PlanningReason.GOAL_INVALID, faults[0])
+        near = [plain.measure_near(*locate(at, place), within=CLEARANCE) for at in (start, *goals)]
+        faults = [self._find_fault(at, place, distances, does_base_fit)
+                  for at, distances in zip((start, *goals), near, strict=True)]
+        if faults[0]:
+            raise fail(PlanningReason.START_INVALID, faults[0])
+        if all(faults[1:]):
+            raise fail(PlanningReason.GOAL_INVALID, faults[1])
+        goals = np.array([goal for goal, fault in zip(goals, faults[1:], strict=True) if not fault])
         margins = dict.fromkeys(plain.list_own_pairs(), 0.9 * OWN_CLEARANCE)
-        for at in (start, *goals):
-            for pair, away in plain.measure_near(*locate(at), within=CLEARANCE).items():
+        for distances, fault in zip(near, faults, strict=True):
+            for pair, away in () if fault else distances.items():
                 margins[pair] = min(margins.get(pair, CLEARANCE), 0.9 * away)
-        collisions = plain.with_margins(margins)
-        *far, turn = plain.compute_sweeps().tolist()
-        scale = np.maximum(far if len(far) == len(start) else (1.0, 1.0, max(turn, 0.1), *far), 1e-3)
-        goals = self._list_turns(start, goals)
-        low, high = (np.array(side) * scale for side in box)
-        low, high = np.minimum(low, start * scale), np.maximum(high, start * scale)
-        around = np.concatenate([np.zeros(len(start) - joints, dtype=bool), self.rules.robot.continuous])
-        low = np.where(around, (start - math.tau) * scale, low)
-        high = np.where(around, (start + math.tau) * scale, high)
-        spent = CheckerBudget(budget, clock)
-        fitting = [margin for margin in BASE_CLEARANCES
-                   if does_base_fit(start, margin) and all(does_base_fit(goal, margin) for goal in goals)]
+        fitting = [margin for margin in BASE_CLEARANCES if all(does_base_fit(at, margin) for at in (start, *goals))]
         if not fitting:
             raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION, "the base has less than 1 mm of room at start or goal")
-        margin = fitting[0]
-
-        def is_free(at: NDArray[np.float64], tests: ArmCollisions = collisions) -> bool:
-            return does_base_fit(at, margin) and tests.is_free(*locate(at))
-
-        def is_move_free(begin: NDArray[np.float64], end: NDArray[np.float64],
-                         tests: ArmCollisions = collisions) -> bool:
-            if not all(is_free(begin + share * (end - begin), tests) for share in (1.0, 0.5, 0.25, 0.75)):
-                return False
-            change, done = np.zeros(3 + joints), 0.0
-            change[-len(begin):] = end - begin
-            base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * turn)
-            while done < 1.0:
-                spent.spend(1)
-                at = begin + done * (end - begin)
-                most = 1.0 - done
-                if base_motion > 0.0:
-                    room = next((room for room in _BASE_ROOMS if does_base_fit(at, room)), margin)
-                    if room == margin and not does_base_fit(at, margin):
-                        return False
-                    most = min(most, (room - margin / 2.0) / base_motion)
-                share = tests.advance(*locate(at), change, most)
-                if share < 0.0:
-                    return False
-                done += share
-            return True
-
+        spent = CheckerBudget(budget, clock)
+        test = MotionTest(plain.with_margins(CLEARANCE, margins), place, does_base_fit, fitting[0], spent)
+        *far, turn = plain.sweeps.tolist()
+        scale = np.maximum(far if place is not None else (1.0, 1.0, max(turn, 0.1), *far), 1e-3)
+        goals = self._list_turns(start, goals)
+        low, high = np.minimum(box[0], start), np.maximum(box[1], start)
+        around = np.concatenate([np.zeros(len(start) - joints, dtype=bool), self.rules.robot.continuous])
+        low, high = np.where(around, start - math.tau, low), np.where(around, start + math.tau, high)
         try:
-            path = find_joint_path(low, high, start * scale, goals * scale, lambda at: is_free(at / scale), margin,
-                                   spent, planner=planner, seed=seed,
-                                   is_move_free=lambda begin, end: is_move_free(begin / scale, end / scale))
+            path = find_joint_path(low * scale, high * scale, start * scale, goals * scale,
+                                   lambda at: test.is_free(at / scale), test.margin, spent, planner=planner, seed=seed,
+                                   is_move_free=lambda begin, end: test.is_move_free(begin / scale, end / scale))
         except OutOfTime:
             raise fail(clock.reason) from None
-        calls = spent.calls
         if path is None:
             raise fail(PlanningReason.BUDGET_EXHAUSTED if spent.calls >= budget
                        else PlanningReason.UNREACHABLE_AT_RESOLUTION)
-        points, kept = path / scale, min([margin, *margins.values()])
-        spent = CheckerBudget(10 * budget + 10_000)
-        for more in _CORNER_CLEARANCES if len(points) > 2 and kept < margin else ():  # corners are rounded within it
-            wider = plain.with_margins({pair: max(kept, more) for pair, kept in margins.items()})
-            if all(is_move_free(begin, end, wider) for begin, end in itertools.pairwise(points)):
-                kept = min(margin, more)
-                break
-        return MotionPath(names, points, scale, kept / 4.0, planner, calls, read_clock() - began, self.rules.robot)
+        points = path / scale
+        kept = min([test.margin, *margins.values()])
+        if len(points) > 2 and kept < test.margin:  # corners are rounded within it
+            kept = max(kept, _find_clearance(points, test, margins))
+        return MotionPath(names, points, scale, kept / 4.0, planner, spent.calls, read_clock() - began,
+                          self.rules.robot)
+
+    def _find_fault(self, at: NDArray[np.float64], place: tuple[float, float, float] | None,
+                    near: Mapping[frozenset[Key], float], does_base_fit: BaseTest) -> str:
+        """Say why a path may not begin or end at coordinates, given the near pairs; empty if it may."""
+        if min(near.values(), default=CLEARANCE) <= 0.0:
+            meets = self._get_collisions(0.0).list_collisions(*locate(at, place))
+            if meets:
+                return ", ".join(meets)
+        if not does_base_fit(at, 0.0):
+            return "the base meets a solid"
+        return ", ".join(f"nearer than {1000 * OWN_CLEARANCE:g} mm: {self._get_collisions(CLEARANCE).describe(pair)}"
+                         for pair, away in near.items() if away < OWN_CLEARANCE)
+
+
+def _find_clearance(points: NDArray[np.float64], test: MotionTest, margins: Mapping[frozenset[Key], float]) -> float:
+    """Return the first of `_CORNER_CLEARANCES` that all pairs keep half of along a path, m; 0 if they keep none."""
+    tests = CheckerBudget(10 * test.budget.most + 10_000, test.budget.clock)
+    for clearance in _CORNER_CLEARANCES:
+        wider = test.collisions.with_margins(CLEARANCE, {pair: max(kept, clearance) for pair, kept in margins.items()})
+        wide = dataclasses.replace(test, collisions=wider, budget=tests)
+        try:
+            if all(wide.is_move_free(begin, end) for begin, end in itertools.pairwise(points)):
+                return min(test.margin, clearance)
+        except Spent:
+            break
+    return 0.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

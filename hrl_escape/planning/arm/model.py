@@ -9,11 +9,12 @@ axis, x ahead, z up; metres, radians.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -30,11 +31,11 @@ try:
 except ImportError as missing:
     raise MissingPackageError("pin", "Planning for an arm", missing) from missing
 
-from hrl_escape.planning.arm.shapes import make_shape  # needs coal
+from hrl_escape.planning.arm.bounds import MotionBounds  # needs coal
+from hrl_escape.planning.arm.shapes import make_shape
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
-_SLIDES = {"JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned"}
 TOUCHING = 1e-3
 """Links that are nearer than this at home may touch, m: hulls are larger than the links."""
 FEW_SOLIDS, MOST_TILES = 64, 256
@@ -184,29 +185,14 @@ Key: TypeAlias = "str | Solid"
 """A thing that collides: the name of a link's shape, `floor`, or a solid."""
 
 
-class _Pairs(NamedTuple):
-    """Bounds of distances and motions of tested pairs of bodies; the second of a pair may be a solid."""
-
-    first: NDArray[np.int64]  # (pairs,), numbers of geometry objects
-    second: NDArray[np.int64]
-    centres: list[NDArray[np.float64]]  # of the objects' spheres, in their own frames, m
-    radii: NDArray[np.float64]  # (pairs,), of both spheres together, m
-    speeds: NDArray[np.float64]  # (pairs, 3 + joints), metres for each unit of x, y, heading and joints
-    margins: NDArray[np.float64]  # (pairs,), m
-    on_solid: NDArray[np.bool_]  # (pairs,)
-    turns: NDArray[np.float64]  # (pairs with a solid, 3, 3), the solid's rotation
-    halves: NDArray[np.float64]  # (pairs with a solid, 3), half sizes of the solid's box, m
-    solid_radii: NDArray[np.float64]  # (pairs with a solid,), of the link's sphere, m
-
-
 class ArmCollisions:
     """Collision test of the arm against solids, the floor and the robot itself, by coal.
 
     The base against solids is left to `CollisionMap`. Three kinds of pairs are never tested: links joined to each
     other, links whose relative placement no planned joint changes, and pairs that an SRDF allows. Without an SRDF, or
-    with one that allows none, pairs are left out that meet with all joints at home (such as the arm's foot and the
-    base), as is the floor for a link that rests on it at home. The hand is the sphere that presses, added to the shape
-    of its link.
+    with one that allows none, pairs are left out that are nearer than `TOUCHING` with all joints at home, such as the
+    arm's foot and the base, as is the floor for a link that rests on it at home. The hand is the sphere that presses,
+    added to the shape of its link.
 
     Args:
         robot: the robot.
@@ -214,22 +200,20 @@ class ArmCollisions:
         solids: what stands in the room.
         margin: what is nearer than this collides, m.
         srdf: text of an SRDF, or None.
-        margins: margins of pairs that differ from `margin`, m.
     """
 
     def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0,
-                 srdf: str | None = None, *, margins: Mapping[frozenset[Key], float] | None = None,
-                 _links: Any = None) -> None:
-        self.robot, self.margin = robot, margin
+                 srdf: str | None = None, *, _links: Any = None) -> None:
+        self.robot = robot
         self._model = pinocchio.buildModelFromXML(robot.urdf, pinocchio.JointModelPlanar())
         self._data = self._model.createData()
         self._used = [self._model.getJointId(name) for name in robot.joint_names]
         self._rest = _make_rest(self._model, robot)
         links = self._make_links(hand_radius) if _links is None else _links
-        self._remake = partial(ArmCollisions, robot, hand_radius, margin=margin, srdf=srdf, _links=links)
+        self._remake = partial(ArmCollisions, robot, hand_radius, srdf=srdf, _links=links)
         self._solids, self._near = tuple(solids), dict[tuple[int, int], ArmCollisions]()
-        self._margins = dict(margins or {})
         geometry = links.copy()
+        self._bounds = MotionBounds(self._model, geometry, robot)
         own = len(geometry.geometryObjects)
         self._keys: list[Key] = [item.name for item in geometry.geometryObjects]
         base = self._model.getFrameId(BASE_LINK, pinocchio.BODY)
@@ -243,7 +227,7 @@ class ArmCollisions:
             for other in range(own, len(geometry.geometryObjects)):
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, other))
         apart = [(i, j) for i in range(own) for j in range(i + 1, own)
-                 if not self._is_joined(geometry, i, j) and not self._is_rigid(geometry, i, j)]
+                 if not self._is_joined(geometry, i, j) and not self._bounds.is_rigid(i, j)]
         floor = geometry.addGeometryObject(_make_floor())
         self._keys.append("floor")
         resting = [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]
@@ -255,22 +239,27 @@ class ArmCollisions:
             pinocchio.removeCollisionPairsFromXML(self._model, geometry, srdf)
         self._keep_clear(geometry, resting)
         self._geometry = geometry  # the manager refers to it
+        self._set_margins(margin, {})
+
+    def with_margins(self, margin: float, margins: Mapping[frozenset[Key], float]) -> ArmCollisions:
+        """Return the same test with another margin, m, and with the margins of some pairs; shapes are shared."""
+        other = copy.copy(self)
+        other._near = {}
+        other._set_margins(margin, margins)
+        return other
+
+    def _set_margins(self, margin: float, margins: Mapping[frozenset[Key], float]) -> None:
+        self.margin, self._margins = margin, margins
+        self._each = np.array([margins.get(self._name_pair(pair), margin) for pair in self._geometry.collisionPairs])
         self._manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, geometry, self._make_data())
+            self._model, self._geometry, self._make_data(self._each))
 
-    def with_margins(self, margins: Mapping[frozenset[Key], float]) -> ArmCollisions:
-        """Return the same test with other margins, m, of some pairs."""
-        return self._remake(self._solids, margins=margins)
-
-    def with_margin(self, margin: float) -> ArmCollisions:
-        """Return the same test with one other margin, m, of all pairs; shapes of links are shared."""
-        return self._remake(self._solids, margin=margin)
-
-    def _make_data(self) -> Any:
-        """Results of collision tests, with the margins in their requests."""
+    def _make_data(self, margins: ArrayLike) -> Any:
+        """Results of collision tests with margins, m, of all pairs or of each, (pairs,)."""
         data = self._geometry.createData()
-        for pair, request in zip(self._geometry.collisionPairs, data.collisionRequests, strict=True):
-            request.security_margin = self._margins.get(self._name_pair(pair), self.margin)
+        for request, margin in zip(data.collisionRequests, np.broadcast_to(margins, len(data.collisionRequests)),
+                                   strict=True):
+            request.security_margin = float(margin)
         return data
 
     def _name_pair(self, pair: Any) -> frozenset[Key]:
@@ -296,59 +285,27 @@ class ArmCollisions:
             pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
         return links
 
-    @cached_property
-    def _reach(self) -> float:
-        """Farthest that any point of the robot is from the base's axis, m."""
-        return float(self.compute_sweeps()[-1])
-
     def _find_near(self, x: float, y: float) -> ArmCollisions:
         """The same test against the solids that can be reached from a tile of the floor, for a test moves them all."""
         if len(self._solids) <= FEW_SOLIDS:
             return self
-        side = self._reach / 2
+        reach = float(self.sweeps[-1])  # farthest that any point of the robot is from the base's axis, m
+        side = reach / 2
         tile = math.floor(x / side), math.floor(y / side)
         if tile not in self._near:
             if len(self._near) == MOST_TILES:
                 self._near.pop(next(iter(self._near)))
             at_x, at_y = (side * (number + 0.5) for number in tile)
-            far = self._reach + side + self.margin
-            self._near[tile] = self._remake([solid for solid in self._solids
-                                             if compute_distance(at_x, at_y, solid.footprint) <= far],
-                                            margins=self._margins)
+            far = reach + side + self.margin
+            near = self._remake([solid for solid in self._solids
+                                 if compute_distance(at_x, at_y, solid.footprint) <= far])
+            self._near[tile] = near.with_margins(self.margin, self._margins)
         return self._near[tile]
 
-    def compute_sweeps(self) -> NDArray[np.float64]:
-        """Farthest that any point of the robot moves for each radian of a joint, links stretched out, (joints + 1,), m.
-
-        The base's turn comes last.
-        """
-        far = np.zeros(len(self._used) + 1)
-        for item in self._geometry.geometryObjects.tolist():
-            if item.parentJoint == 0:  # a solid
-                continue
-            item.geometry.computeLocalAABB()
-            here = np.zeros_like(far)
-            for joint, reach in self._measure_reach(item).items():
-                if joint in self._moved:
-                    number, factor = self._moved[joint]
-                    here[number] += abs(factor) * reach
-                elif joint == 1:
-                    here[-1] = reach
-            far = np.maximum(far, here)
-        return far
-
-    @cached_property
-    def _moved(self) -> dict[int, tuple[int, float]]:
-        """Joints of the model that move with a planned one: its number, and how fast for each unit of it."""
-        moved = {joint: (number, 1.0) for number, joint in enumerate(self._used)}
-        return moved | {self._model.getJointId(name): (number, factor)
-                        for name, (number, factor, _) in self.robot.mimics.items()}
-
-    def _is_rigid(self, geometry: Any, i: int, j: int) -> bool:
-        """Return whether no planned joint changes how two shapes are placed to each other."""
-        above = [{joint for joint in self._model.supports[geometry.geometryObjects[k].parentJoint]
-                  if joint in self._moved} for k in (i, j)]
-        return above[0] == above[1]
+    @property
+    def sweeps(self) -> NDArray[np.float64]:
+        """Bound of the motion of any point of the robot, m, for each unit of a joint; the base's turn is last."""
+        return self._bounds.sweeps
 
     def _is_joined(self, geometry: Any, i: int, j: int) -> bool:
         a, b = (geometry.geometryObjects[k].parentJoint for k in (i, j))
@@ -387,9 +344,7 @@ class ArmCollisions:
                      within: float) -> dict[frozenset[Key], float]:
         """Return the distances of the tested pairs that are nearer than `within`, m; arguments as of `is_free`."""
         near = self._find_near(x, y)
-        data, q = near._geometry.createData(), near._make_q(x, y, heading, angles)
-        for request in data.collisionRequests:
-            request.security_margin = within
+        data, q = near._make_data(within), near._make_q(x, y, heading, angles)
         pinocchio.computeCollisions(near._model, near._data, near._geometry, data, q, False)
         found = dict[frozenset[Key], float]()
         for number, (pair, result) in enumerate(zip(near._geometry.collisionPairs, data.collisionResults, strict=True)):
@@ -426,70 +381,22 @@ class ArmCollisions:
         return self._find_near(x, y)._advance(self._make_q(x, y, heading, angles), np.abs(change), most)
 
     def _advance(self, q: NDArray[np.float64], change: NDArray[np.float64], most: float) -> float:
-        pairs, data = self._pairs, self._distances
+        pairs, data, margins = self._bounds.pairs, self._distances, self._each
         pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, data, q)
-        centres = np.array([data.oMg[k].act(centre) for k, centre in enumerate(pairs.centres)])
-        between = centres[pairs.first] - centres[pairs.second]
-        away = np.sqrt((between * between).sum(axis=1)) - pairs.radii
-        local = np.abs(between[pairs.on_solid][:, None, :] @ pairs.turns)[:, 0]
-        outside = np.maximum(local - pairs.halves, 0.0)
-        away[pairs.on_solid] = np.sqrt((outside * outside).sum(axis=1)) - pairs.solid_radii
-        motion = pairs.speeds @ change
-        share = (away - 0.5 * pairs.margins) / np.maximum(motion, 1e-12)
+        motion = np.maximum(pairs.speeds @ change, 1e-12)
+        share = (pairs.bound_distances(data.oMg) - 0.5 * margins) / motion
         for number in np.argsort(share).tolist():
             if share[number] >= most:
                 break
             exact = pinocchio.computeDistance(self._geometry, data, number).min_distance
-            if exact < pairs.margins[number]:
+            if exact < margins[number]:
                 return -1.0
-            most = min(most, (exact - 0.5 * pairs.margins[number]) / max(motion[number], 1e-12))
+            most = min(most, (exact - 0.5 * margins[number]) / motion[number])
         return most
 
     @cached_property
     def _distances(self) -> Any:
         return self._geometry.createData()
-
-    @cached_property
-    def _pairs(self) -> _Pairs:
-        geometry, items = self._geometry, self._geometry.geometryObjects.tolist()
-        ends = [(pair.first, pair.second) for pair in geometry.collisionPairs]
-        first, second = np.array(ends, dtype=np.int64).reshape(-1, 2).T
-        for item in items:
-            item.geometry.computeLocalAABB()
-        radii = np.array([item.geometry.aabb_radius for item in items])
-        reaches = [self._measure_reach(item) for item in items]
-        speeds = np.zeros((len(ends), 3 + len(self._used)))
-        for number, (i, j) in enumerate(ends):
-            for joint in reaches[i].keys() ^ reaches[j].keys():
-                reach = reaches[i].get(joint, reaches[j].get(joint, 0.0))
-                if joint == 1:
-                    speeds[number, :3] += 1.0, 1.0, reach
-                elif joint in self._moved:
-                    planned, factor = self._moved[joint]
-                    speeds[number, 3 + planned] += abs(factor) * reach
-        on_solid = np.array([items[j].parentJoint == 0 for _, j in ends], dtype=bool)
-        fixed = [items[j] for (_, j), is_fixed in zip(ends, on_solid, strict=True) if is_fixed]
-        return _Pairs(first, second, [item.geometry.aabb_center for item in items], radii[first] + radii[second],
-                      speeds, np.array([self._margins.get(self._name_pair(pair), self.margin)
-                                        for pair in geometry.collisionPairs]),
-                      on_solid, np.array([item.placement.rotation for item in fixed]).reshape(-1, 3, 3),
-                      np.array([_measure_half(item.geometry) for item in fixed]).reshape(-1, 3),
-                      radii[first[on_solid]])
-
-    def _measure_reach(self, item: Any) -> dict[int, float]:
-        """Metres that a shape moves at most for each unit of a joint above it, by the joint's number in the model."""
-        model, reaches = self._model, dict[int, float]()
-        reach = float(np.linalg.norm(item.placement.act(item.geometry.aabb_center))) + item.geometry.aabb_radius
-        joint = item.parentJoint
-        while joint > 0:
-            slides = model.joints[joint].shortname() in _SLIDES
-            reaches[joint] = 1.0 if slides else reach
-            reach += float(np.linalg.norm(model.jointPlacements[joint].translation))
-            if slides:
-                at = model.joints[joint].idx_q
-                reach += float(max(abs(model.lowerPositionLimit[at]), abs(model.upperPositionLimit[at])))
-            joint = model.parents[joint]
-        return reaches
 
     def describe(self, pair: frozenset[Key]) -> str:
         """Describe a pair in words, such as `arm-3 to obstacle at (1, 2)`."""
@@ -501,7 +408,7 @@ class ArmCollisions:
 
     def list_collisions(self, x: float, y: float, heading: float, angles: Sequence[float]) -> list[str]:
         """List what meets at a posture, such as `arm-3 meets floor`; arguments as of `is_free`."""
-        data, q = self._make_data(), self._make_q(x, y, heading, angles)
+        data, q = self._make_data(self._each), self._make_q(x, y, heading, angles)
         pinocchio.computeCollisions(self._model, self._data, self._geometry, data, q, False)
 
         def name(number: int) -> str:
@@ -558,13 +465,6 @@ def _read_origin(element: ElementTree.Element) -> Any:
         raise RobotError("an <origin> of a collision shape of the URDF must have 3 finite numbers for xyz and rpy")
     xyz, rpy = values
     return pinocchio.SE3(pinocchio.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
-
-
-def _measure_half(shape: Any) -> NDArray[np.float64]:
-    """Half sizes of the box around a solid in its own frame, m."""
-    if isinstance(shape, coal.Box):
-        return np.asarray(shape.halfSide)
-    return np.array([shape.radius, shape.radius, shape.halfLength])
 
 
 def _make_floor() -> Any:

@@ -1,0 +1,74 @@
+"""Tests of an arm's motions, with or without its base, as a whole: conservative advancement in a straight line."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.planning.arm.model import ArmCollisions
+from hrl_escape.planning.paths.problem import CheckerBudget
+
+BaseTest: TypeAlias = Callable[[NDArray[np.float64], float], bool]
+"""Whether the base fits at coordinates with a margin, m."""
+_BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MotionTest:
+    """Test of coordinates, joint angles or x, y, heading and joint angles, in m and rad.
+
+    Attributes:
+        collisions: of the arm, with the margins that it keeps.
+        place: x and y, m, and heading, rad, of a base at rest, or None if coordinates begin with them.
+        does_base_fit: tests the base.
+        margin: distance that the base keeps from solids, m.
+        budget: spent by one for each posture at which a motion is tested.
+    """
+
+    collisions: ArmCollisions
+    place: tuple[float, float, float] | None
+    does_base_fit: BaseTest
+    margin: float
+    budget: CheckerBudget
+
+    def is_free(self, at: NDArray[np.float64]) -> bool:
+        """Return whether base and arm keep their margins at coordinates."""
+        return self.does_base_fit(at, self.margin) and self.collisions.is_free(*locate(at, self.place))
+
+    def is_move_free(self, begin: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+        """Return whether a straight motion from a free place keeps half of all margins.
+
+        Raises:
+            Spent: the budget is used up.
+        """
+        if not all(self.is_free(begin + share * (end - begin)) for share in (1.0, 0.5, 0.25, 0.75)):
+            return False
+        move, done = end - begin, 0.0
+        change = move if self.place is None else np.concatenate([np.zeros(3), move])
+        base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * self.collisions.sweeps[-1])
+        while done < 1.0:
+            self.budget.spend(1)
+            at, most = begin + done * move, 1.0 - done
+            if base_motion > 0.0:
+                room = next((room for room in (*_BASE_ROOMS, self.margin) if self.does_base_fit(at, room)), None)
+                if room is None:
+                    return False
+                most = min(most, (room - self.margin / 2.0) / base_motion)
+            share = self.collisions.advance(*locate(at, self.place), change, most)
+            if share < 0.0:
+                return False
+            done += share
+        return True
+
+
+def locate(at: NDArray[np.float64], place: tuple[float, float, float] | None
+           ) -> tuple[float, float, float, list[float]]:
+    """Split coordinates into x, y, m, heading, rad, and joint angles, rad; `place` as in `MotionTest`."""
+    if place is not None:
+        return *place, at.tolist()
+    x, y, heading, *angles = at.tolist()
+    return x, y, heading, angles
