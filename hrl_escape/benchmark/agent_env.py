@@ -23,9 +23,8 @@ from hrl_escape.sets.room_sequence import RoomSequence
 from hrl_escape.sets.sequence import SequenceEnv, compute_room_seed
 
 
-def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str,
-             schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
-             ) -> tuple[gymnasium.Env, StateRecorder]:
+def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str, schedule: Mapping[str, int] | None = None,
+                   common: CommonSpaces | None = None, trials: int = 1) -> tuple[gymnasium.Env, StateRecorder]:
     """Make the environment of an agent and the recorder inside it.
 
     Args:
@@ -45,8 +44,9 @@ def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str,
     schedule = schedule or {}
     if isinstance(rooms, RoomSequence):
         (first, recorder), *others = (
-            make_agent_env(agent, each, observation,
-                     {str(compute_room_seed(int(seed), place)): number for seed, number in schedule.items()}, common)
+            make_agent_env(
+                agent, each, observation,
+                {str(compute_room_seed(int(seed), place)): number for seed, number in schedule.items()}, common)
             for place, each in enumerate(rooms.sets))
         return SequenceEnv(first, then=[env for env, _ in others], paired=rooms.paired), recorder
     if isinstance(rooms, InstanceSet):

@@ -51,9 +51,9 @@ class RungRecord(Settings):
     config: RoomConfig = RoomConfig()
     """Room configuration of its rooms."""
     train: SetRecord = SetRecord(count=256)
-    """Training rooms."""
+    """Rooms to learn in, disjoint from the other sets."""
     valid: SetRecord = SetRecord()
-    """Validation rooms."""
+    """Rooms to choose settings by, disjoint from the other sets."""
     test: SetRecord = SetRecord()
     """Test rooms, with unseen layouts."""
     test_task: SetRecord | None = None

@@ -60,12 +60,12 @@ class Rung:
 
     @cached_property
     def train(self) -> InstanceSet:
-        """Training rooms."""
+        """Rooms to learn in, disjoint from the other sets."""
         return self._make("train")
 
     @cached_property
     def valid(self) -> InstanceSet:
-        """Validation rooms."""
+        """Rooms to choose settings by, disjoint from the other sets."""
         return self._make("valid")
 
     @cached_property

@@ -32,7 +32,7 @@ THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS",
 
 @dataclass(frozen=True)
 class Failure:
-    """Failed run."""
+    """A run that ended in an error."""
 
     run: GridRun  # the run
     message: str  # message of the error

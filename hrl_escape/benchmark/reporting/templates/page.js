@@ -60,7 +60,7 @@ function drawCurves() {
   const axis = against === "primitives" ? "" : ` An agent's line ends where its budget of primitives was spent: after ${against === "decisions"
     ? "as many decisions as that took; an option is one decision of many primitives." : "so much training, evaluations left out."}`;
   document.getElementById("curve-note").textContent = `${metric.note} Lines are interquartile means over runs${
-    ["progress", "success"].includes(metric.source) ? " (here means)" : ""}, bands 95 % intervals; dashes act without options; thin lines without a band learn nothing.${axis}`;
+    ["progress", "success"].includes(metric.source) ? " (here means)" : ""}, bands 95 % intervals; dashes act without options; thin lines without a band are agents without training.${axis}`;
 }
 
 const legend = document.querySelector(".legend");
