@@ -28,7 +28,7 @@ from hrl_escape.figures import make_svg, save_figure
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics, Key
-from hrl_escape.planning.arm.motion_test import BaseTest, MotionTest, locate
+from hrl_escape.planning.arm.motion_test import BaseTest, MotionTest, split_coordinates
 from hrl_escape.planning.arm.srdf import read_srdf
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget, MotionPath, Spent
@@ -354,7 +354,7 @@ class ArmPlanner:
             return PlanningFailed(reason, "configuration", pose, read_clock() - began, (planner,), nearest=nearest)
 
         plain = self._get_collisions(CLEARANCE)
-        near = [plain.measure_near(*locate(at, place), within=CLEARANCE) for at in (start, *goals)]
+        near = [plain.measure_near(*split_coordinates(at, place), within=CLEARANCE) for at in (start, *goals)]
         faults = [self._find_fault(at, place, distances, does_base_fit)
                   for at, distances in zip((start, *goals), near, strict=True)]
         if faults[0]:
@@ -397,7 +397,7 @@ class ArmPlanner:
                     near: Mapping[frozenset[Key], float], does_base_fit: BaseTest) -> str:
         """Say why a path may not begin or end at coordinates, given the near pairs; empty if it may."""
         if min(near.values(), default=CLEARANCE) <= 0.0:
-            meets = self._get_collisions(0.0).list_collisions(*locate(at, place))
+            meets = self._get_collisions(0.0).list_collisions(*split_coordinates(at, place))
             if meets:
                 return ", ".join(meets)
         if not does_base_fit(at, 0.0):

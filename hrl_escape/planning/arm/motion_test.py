@@ -13,7 +13,7 @@ from hrl_escape.planning.arm.model import ArmCollisions
 from hrl_escape.planning.paths.problem import CheckerBudget
 
 BaseTest: TypeAlias = Callable[[NDArray[np.float64], float], bool]
-"""Whether the base fits at coordinates with a margin, m."""
+"""Test of the base: true if it fits at coordinates with a margin, m."""
 _BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
 
 
@@ -37,7 +37,7 @@ class MotionTest:
 
     def is_free(self, at: NDArray[np.float64]) -> bool:
         """Return whether base and arm keep their margins at coordinates."""
-        return self.does_base_fit(at, self.margin) and self.collisions.is_free(*locate(at, self.place))
+        return self.does_base_fit(at, self.margin) and self.collisions.is_free(*split_coordinates(at, self.place))
 
     def is_move_free(self, begin: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
         """Return whether a straight motion from a free place keeps half of all margins.
@@ -58,15 +58,15 @@ class MotionTest:
                 if room is None:
                     return False
                 most = min(most, (room - self.margin / 2.0) / base_motion)
-            share = self.collisions.advance(*locate(at, self.place), change, most)
+            share = self.collisions.advance(*split_coordinates(at, self.place), change, most)
             if share < 0.0:
                 return False
             done += share
         return True
 
 
-def locate(at: NDArray[np.float64], place: tuple[float, float, float] | None
-           ) -> tuple[float, float, float, list[float]]:
+def split_coordinates(at: NDArray[np.float64], place: tuple[float, float, float] | None
+                      ) -> tuple[float, float, float, list[float]]:
     """Split coordinates into x, y, m, heading, rad, and joint angles, rad; `place` as in `MotionTest`."""
     if place is not None:
         return *place, at.tolist()
