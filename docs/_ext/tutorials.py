@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import logging
+import os
 import subprocess
 import tempfile
 from pathlib import Path
@@ -63,7 +64,8 @@ def make_notebook(script: Path) -> Any:
     with tempfile.TemporaryDirectory() as folder:
         try:
             NotebookClient(notebook, timeout=900, record_timing=False, coalesce_streams=True, log=QUIET,
-                           resources={"metadata": {"path": folder}}).execute(stderr=subprocess.DEVNULL)  # its chatter
+                           resources={"metadata": {"path": folder}}).execute(
+                               stderr=subprocess.DEVNULL, env={**os.environ, "HRL_ESCAPE_PROGRESS": "off"})
         except CellExecutionError as error:
             raise ExtensionError(f"{script.name} failed:\n{error}") from error
     for cell in notebook["cells"]:

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from hrl_escape.benchmark.cost import describe_cost
@@ -27,42 +26,37 @@ from hrl_escape.figures import Pictured
 from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
 from hrl_escape.names import parse_whole
 from hrl_escape.processes import take_lock
+from hrl_escape.progress import Reporter, describe_results, show_progress
 from hrl_escape.sets.places import RunPlace
-
-SPEED_SECONDS = 3600.0
-"""Window of the speed estimate for the remaining time."""
 
 
 class Monitor:
     """Listener that shows the progress of a comparison's runs on a console."""
 
-    def __init__(self, runs: Sequence[GridRun], console: Console) -> None:
-        self.runs, self.console = {run.folder: run for run in runs}, console
+    def __init__(self, runs: Sequence[GridRun], console: Console, progress: bool | None = None) -> None:
+        self.runs, self.console, self._shows = {run.folder: run for run in runs}, console, progress
         self.failures: list[Failure] = []
         self.results: list[tuple[GridRun, RunResult]] = []
         self._kept = 0
-        self._bar: Progress | None = None
+        self._finals: list[tuple[float, float]] = []  # mean return and success rate of finished runs
+        self._primitives = runs[0].grid.primitives if runs else 0  # of each run
+        self._report: Reporter = lambda primitives, words: None
 
     @contextmanager
     def watch(self) -> Iterator[None]:
-        """Show the progress bar while the body runs."""
-        if not self.console.is_terminal:
-            yield
-            return
-        words = TextColumn("{task.completed:.0f} of {task.total:.0f} runs")
-        with Progress(words, BarColumn(), TimeRemainingColumn(), console=self.console, transient=True,
-                      speed_estimate_period=SPEED_SECONDS) as self._bar:
-            self._bar.add_task("runs", total=len(self.runs) - self._kept)
+        """Show a progress line while the body runs."""
+        total = (len(self.runs) - self._kept) * self._primitives
+        with show_progress("runs", total, show=self._shows, console=self.console, stays=False) as self._report:
             yield
 
     def keep(self, run: GridRun, result: RunResult) -> None:
         """Count a run of an earlier call."""
-        self.results.append((run, result))
+        self._note(run, result)
         self._kept += 1
 
     def finish(self, run: GridRun, result: RunResult) -> None:
         """Show a finished run."""
-        self.results.append((run, result))
+        self._note(run, result)
         self._say(run, f"efficiency {result.get_final('efficiency'):.3f}, success rate "
                         f"{result.get_final('success_rate'):.0%}, {result.get_final('mean_length'):.0f} primitives an "
                         "episode", "green")
@@ -73,11 +67,15 @@ class Monitor:
         self._say(failure.run, f"failed: {failure.message}", "red")
 
     def tick(self, progress: Mapping[str, int]) -> None:
-        """Update the bar with finished runs and the progress of running ones."""
-        if self._bar is not None:
-            ended = len(self.results) + len(self.failures) - self._kept
-            shares = [min(1.0, done / self.runs[folder].grid.primitives) for folder, done in progress.items()]
-            self._bar.update(self._bar.task_ids[0], completed=ended + sum(shares))
+        """Show the primitives of finished and running runs, and the results of the finished ones."""
+        ended = len(self.results) + len(self.failures)
+        running = sum(min(primitives, self._primitives) for primitives in progress.values())
+        words = describe_results(*zip(*self._finals, strict=True)) if self._finals else ""
+        self._report((ended - self._kept) * self._primitives + running, f"{ended} of {len(self.runs)} finished {words}")
+
+    def _note(self, run: GridRun, result: RunResult) -> None:
+        self.results.append((run, result))
+        self._finals.append((result.get_final("mean_return"), result.get_final("success_rate")))
 
     def _say(self, run: GridRun, words: str, colour: str) -> None:
         count = len(self.results) + len(self.failures)
@@ -128,7 +126,7 @@ WHOLE = Shard(1, 1)
 
 
 def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None = None,
-             console: Console | None = None, shard: Shard = WHOLE) -> Comparison:
+             console: Console | None = None, shard: Shard = WHOLE, progress: bool | None = None) -> Comparison:
     """Run the unfinished runs of a grid and return the comparison.
 
     It starts processes, so a script needs `if __name__ == "__main__":` around the call.
@@ -140,6 +138,7 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
         console: shows progress; standard error by default.
         shard: part of the runs to make, for several machines that share the folder; `read_comparison` then reads all
             parts.
+        progress: False for no progress line, as in `train`.
 
     Raises:
         GridError: the grid has no runs, or two equal ones.
@@ -157,7 +156,7 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
         write_json(out / "grid.json", grid.to_dict())
         for place in places:
             place.save(out / "rooms")
-        monitor, unfinished = Monitor(runs, console), []
+        monitor, unfinished = Monitor(runs, console, progress), []
         for run in runs:
             result = _read_finished(out, run, console)
             if result is None:

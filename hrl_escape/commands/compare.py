@@ -79,19 +79,23 @@ class LaunchArgs:
     """Report the finished runs in the folder without running."""
     dry_run: bool = False
     """Run nothing: print how many runs are to be made and about how long they take."""
+    quiet: bool = False
+    """Show no progress line."""
 
     def make_runs(self, grid: Grid, out: Path) -> Comparison:
         """Make the requested part of a grid's runs, or read all finished ones."""
         if self.report:
             return read_comparison(out, grid)
-        return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"))
+        return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"),
+                        progress=False if self.quiet else None)
 
     def format_options(self, *known: str) -> list[str]:
         """Return the words of the command line for changed options that affect runs, without `known` fields."""
         words = []
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if value == field.default or field.name in (*known, "shard", "report", "dry_run", "open", "json"):
+            if value == field.default or field.name in (*known, "shard", "report", "dry_run", "quiet", "open",
+                                                        "json"):
                 continue
             values = value if isinstance(value, tuple) else () if value is True else (value,)
             words += [f"--{field.metadata.get('word', field.name).replace('_', '-')}", *map(str, values)]

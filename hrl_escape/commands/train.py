@@ -94,6 +94,8 @@ class TrainArgs(AgentChoice, RoomChoice):
     """Also write TensorBoard's files (extra `tensorboard`)."""
     threads: int = 1
     """Threads of torch, a part of the run's identity: one is fastest for small networks, all cores for many copies."""
+    quiet: bool = False
+    """Show no progress line."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -162,7 +164,7 @@ def run(args: TrainArgs) -> None:
     result = train(player or spec, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
                    seed=args.seed, eval_every=args.eval_every,
                    eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
-                   threads=args.threads, observed=recorder is None)
+                   threads=args.threads, observed=recorder is None, progress=False if args.quiet else None)
     if isinstance(env, gymnasium.Env) and recorder is not None and isinstance(rooms, RoomInstance):
         _record(env, recorder, result, f"{spec.label}, seed {args.seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
@@ -178,7 +180,8 @@ def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
     out = args.out or Path("runs") / f"{make_file_name(f'{spec.label}-{data.name}-{args.seed}')}-{{key}}"
     result = train(spec, data=data, primitives=args.primitives, seed=args.seed,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
-                   callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads)
+                   callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads,
+                   progress=False if args.quiet else None)
     _tell(args, spec, result, data.recording.about["scores"].get("best_known"))
 
 

@@ -25,7 +25,6 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.components.exploration import sample_legal
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.training.results import EpisodeRecord
-from hrl_escape.agents.training.run import show_progress
 from hrl_escape.agents.training.train import train
 from hrl_escape.data.catalogue import BENCHMARK, DataSpec
 from hrl_escape.data.materialise import load_data
@@ -37,6 +36,7 @@ from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import get_planner
+from hrl_escape.progress import describe_results, show_progress
 from hrl_escape.sets.grammar import find_set, quote_room
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.sets.rung import derive_seed
@@ -96,6 +96,10 @@ class RecordingWriter:
         for name, value in row.items():
             self._lists[name].append(value)
 
+    def describe_latest(self) -> str:
+        """Describe the success of the latest ten episodes for a progress line."""
+        return describe_results((), [float(end == 1) for end in self._lists["end"][-10:]])
+
     def make_recording(self, about: Mapping[str, Any]) -> Recording:
         """Return the recording of all episodes so far."""
         return Recording(about, **{name: np.array(self._lists[name], dtype) for name, dtype in FIELDS.items()})
@@ -126,7 +130,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
         spec: the data set.
         path: file to write; an unfinished recording has the same name with `.part`.
         primitives: number of primitives of a trial; by default the number of the name.
-        progress: show a progress line; by default on a terminal only.
+        progress: as in `train`.
 
     Raises:
         VerificationError: it differs from the published recording; it is then written with the ending `.other.npz`.
@@ -148,7 +152,7 @@ def record(spec: DataSpec, path: Path, *, primitives: int | None = None, progres
                 seed = derive_seed("data", spec.name, str(room), episode)
                 done += _record_episode(writer, env, choose, spec.kind, seed, room, share - done)
                 episode += 1
-                report(len(writer), f"room {room + 1} of {len(rooms)}")
+                report(len(writer), f"room {room + 1} of {len(rooms)} {writer.describe_latest()}")
                 if time.monotonic() - saved > SAVE_SECONDS:
                     save_recording(part, writer.make_recording(about))
                     saved = time.monotonic()

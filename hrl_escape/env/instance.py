@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import numpy as np
@@ -40,6 +41,8 @@ from hrl_escape.files import read_json, write_json
 from hrl_escape.settings import Range
 
 SCHEMA_VERSION = 1
+_DIFFICULTY = "hrl_escape.benchmark.difficulty:measure_difficulty"
+"""Measures a room's difficulty with planners and agents, which are above rooms; imported when asked for."""
 _OVERLAP = 1e-6
 """Overlap, m, between the floor of the alcove behind a door and the floor of the room."""
 
@@ -267,6 +270,23 @@ class RoomInstance(Pictured, HashedSettings):
         count = len(self.targets)
         return (f"<RoomInstance {self.name}{seed}: {2 * self.half_width:g} x {2 * self.half_depth:g} m, {count} "
                 f"target{'s' * (count != 1)}, id {self.id}>")
+
+    def difficulty(self) -> Any:
+        """Measure the difficulty of the room, once; later pictures of the room show it.
+
+        Returns:
+            `hrl_escape.benchmark.difficulty.Difficulty`: oracle, random options, search baseline and random walk.
+        """
+        return self._difficulty
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Lines of the room's difficulty for pictures; none before it has been measured."""
+        return self._difficulty.lines if "_difficulty" in vars(self) else ()
+
+    @cached_property
+    def _difficulty(self) -> Any:
+        return resolve_name(_DIFFICULTY)(self)
 
     @cached_property
     def frame(self) -> SpaceLayout:

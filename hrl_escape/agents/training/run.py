@@ -19,8 +19,6 @@ from types import FrameType
 from typing import Any, Protocol, cast
 
 import gymnasium
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, check_same_observations, read_success
 from hrl_escape.agents.registry import split_name
@@ -45,6 +43,7 @@ from hrl_escape.agents.training.results import (
 )
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
+from hrl_escape.progress import Reporter, describe_results
 from hrl_escape.signals import end_by_signal
 from hrl_escape.step_info import is_decision, read_option
 from hrl_escape.version import __version__, find_versions
@@ -341,13 +340,15 @@ class Run(Stateful):
         return row
 
     def describe_returns(self) -> str:
-        """Describe the latest returns for the progress line."""
-        recent = [record.episode_return for record in self.episodes[-10:]]
-        recent += [record.mean_return for record in self.segments[-1:] if record.mean_return is not None]
-        words = [f"return {sum(recent) / len(recent):.1f}"] if recent else []
+        """Describe the latest returns and successes for the progress line."""
+        recent, segments = self.episodes[-10:], [segment for segment in self.segments[-1:] if segment.episodes]
+        words = [describe_results(
+            [record.episode_return for record in recent] + [record.mean_return or 0.0 for record in segments],
+            [*(record.success for record in recent),
+             *(None if each.successes is None else each.successes / each.episodes for each in segments)])]
         if self.evaluations:
             words.append(f"eval {self.evaluations[-1].mean_return:.1f}")
-        return " ".join(words)
+        return " ".join(filter(None, words))
 
     def _evaluate(self, folder: RunFolder | None) -> None:
         if not self.arguments.eval_episodes:
@@ -531,52 +532,3 @@ def refusing_damage(what: str) -> Iterator[None]:
     except Exception as error:
         raise CheckpointError(f"{what} is damaged, or of another agent ({describe_damage(error)}). Delete the run's "
                               "folder to start again") from error
-
-
-# --- the progress line ------------------------------------------------------------------
-
-REFRESH_SECONDS = 0.2
-
-Reporter = Callable[[int, str], None]
-"""Takes the progress of a run: primitives so far, and the latest returns in words."""
-
-
-@contextmanager
-def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterator[Reporter]:
-    """Show a line on standard error while training up to `total` primitives; with `show=None` on a terminal only."""
-    console = Console(stderr=True)
-    if not (console.is_terminal if show is None else show):
-        yield lambda primitives, words: None
-        return
-    columns = (  # fits 80 characters
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=8),
-        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
-        TextColumn("{task.fields[rate]}"),
-        TextColumn("{task.fields[words]}"),
-        TimeRemainingColumn(compact=True),
-    )
-    with Progress(*columns, console=console) as progress:
-        if done:
-            console.print(f"{name} resumed at {done:,} of {total:,} primitives", markup=False)
-        task = progress.add_task(name, total=total, completed=done, rate="", words="")
-        started = last = time.monotonic()
-        latest = done, ""
-
-        def refresh() -> None:
-            primitives, words = latest
-            rate = (primitives - done) / max(last - started, 1e-9)
-            progress.update(task, completed=min(primitives, total), rate=f"{rate:,.0f}/s", words=words)
-
-        def report(primitives: int, words: str) -> None:
-            nonlocal last, latest
-            now, latest = time.monotonic(), (primitives, words)
-            if now - last >= REFRESH_SECONDS:
-                last = now
-                refresh()
-
-        try:
-            yield report
-        finally:  # the line that stays
-            last = time.monotonic()
-            refresh()

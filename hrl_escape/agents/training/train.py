@@ -42,10 +42,10 @@ from hrl_escape.agents.training.run import (
     load_agent_state,
     make_origin,
     refusing_damage,
-    show_progress,
 )
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnknownNameError, describe_damage
+from hrl_escape.progress import show_progress
 from hrl_escape.registry import Registry
 from hrl_escape.settings import replace_settings
 
@@ -113,7 +113,8 @@ def train(
         checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
         callbacks: observers of rows, evaluations and checkpoints, such as `TensorBoard()`; see
             `agents.training.callbacks`.
-        progress: show a progress line; by default on a terminal only.
+        progress: False for no progress line. By default a bar with rate, return, success and time left in terminals and
+            notebooks, and a line a minute elsewhere; see `show_progress`.
         probe: measures the agent during training, and can end the run before its budget.
         threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
             many environments at once on a CPU are quicker with one per core.

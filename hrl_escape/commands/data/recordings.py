@@ -125,6 +125,8 @@ class MakeArgs:
     """With --played: rooms of the episodes, such as paper-two-button or ladder-1/pair/train#0..4."""
     played: tuple[Path, ...] = ()
     """Episodes saved by `hrl-escape play`, for a data set of your own play."""
+    quiet: bool = False
+    """Show no progress line."""
 
     @classmethod
     def check_words(cls, command: Sequence[str], words: Sequence[str]) -> None:
@@ -165,7 +167,8 @@ def run_make(args: MakeArgs) -> None:
     for spec in [parse_spec(name) for name in args.names]:
         path = args.out / f"{spec.name}.npz"
         try:
-            recording = load_recording(path) if path.is_file() else record(spec, path, primitives=args.primitives)
+            recording = load_recording(path) if path.is_file() else record(
+                spec, path, primitives=args.primitives, progress=False if args.quiet else None)
             found = compare_published(spec.name, recording)
             if not (args.primitives or found.fits):
                 raise refuse_other(spec.name, found, path)

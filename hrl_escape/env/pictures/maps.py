@@ -58,7 +58,7 @@ class Trajectory:
 
 
 def make_map(instance: RoomInstance, state: RoomState | None = None, trajectories: Sequence[Trajectory] = (),
-             *, panel: bool = True) -> Figure:
+             *, panel: bool = True, notes: Sequence[str] | None = None) -> Figure:
     """Draw a room as a figure.
 
     Args:
@@ -66,6 +66,7 @@ def make_map(instance: RoomInstance, state: RoomState | None = None, trajectorie
         state: state of robot and targets, or None for the start of an episode.
         trajectories: paths, drawn under the robot.
         panel: whether to add title, the targets' graph and the legend on the right.
+        notes: lines below the title; by default the room's difficulty, if it has been measured.
 
     Returns:
         A figure without a window; `save_figure` writes it.
@@ -85,7 +86,7 @@ def make_map(instance: RoomInstance, state: RoomState | None = None, trajectorie
         axes.set(xlim=(x_min - margin - ticks, x_max + margin), ylim=(y_min - margin - ticks, y_max + margin))
         draw_room(axes, instance, state, trajectories)
         if panel:
-            _draw_panel(figure, instance, state, trajectories)
+            _draw_panel(figure, instance, state, trajectories, notes)
     return figure
 
 
@@ -127,12 +128,13 @@ def make_map_image(instance: RoomInstance, state: RoomState | None = None, traje
 # --- the panel at the right ----------------------------------------------------------------
 
 
-def _draw_panel(figure: Figure, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory]) -> None:
+def _draw_panel(figure: Figure, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory],
+                notes: Sequence[str] | None) -> None:
     """Draw the title on top, the legend at the bottom, and the targets' graph between them."""
     wide, high = figure.get_size_inches()
     left, top = 1 - _PANEL_INCHES / wide, 1 - 0.45 / high
     figure.text(left, top, instance.name, fontsize=14, weight="bold", color=palette.INK, va="bottom")
-    lines = _describe(instance, state)
+    lines = [*_describe(instance, state), *(instance.notes if notes is None else notes)]
     figure.text(left, top - 0.08 / high, "\n".join(lines), fontsize=8, color=palette.MUTED, va="top", linespacing=1.5)
     handles = _make_handles(instance, trajectories)
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(left, 0.3 / high), frameon=False, fontsize=8,
