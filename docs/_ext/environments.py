@@ -102,6 +102,11 @@ def list_scores(preset: str) -> list[Score]:
     return [Score(agent, escapes) for agent, escapes in found.items()]
 
 
+def list_difficulty(preset: str) -> list[list[str]]:
+    """Names and values of the difficulty of instance 0, from `docs/make_difficulty.py`."""
+    return json.loads((PAGES / "difficulty.json").read_text(encoding="utf-8"))[preset]["rows"]
+
+
 def has_study(preset: str) -> bool:
     """Whether the gallery study has the preset."""
     return any(run["preset"] == preset for run in read_lines("gallery"))
@@ -195,6 +200,7 @@ class Environment(Picture):
             ("Truncation", f"After {room.horizon:,} primitives."),
             ("Planner", f"{plan.cost} primitives, return {plan.compute_return():g} from instance 0" if plan
              else "No plan of primitives: physics decides the result of a push. Options push in closed loop."),
+            ("Difficulty", "; ".join(": ".join(row) for row in list_difficulty(preset))),
             ("Tags", ", ".join(TAGS[preset])),
             ("Play it", f"`hrl-escape play --room {preset}`"),
         ]

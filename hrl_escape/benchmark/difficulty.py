@@ -80,25 +80,27 @@ class Difficulty(Pictured):
 
     @property
     def is_horizon_short(self) -> bool:
-        """True if the horizon ends the oracle, or most episodes of the search baseline.
+        """True if the horizon ends the oracle, or most episodes of every baseline over options."""
+        baselines = [each for each in (self.random_options, self.search) if each is not None]
+        return self._ends_oracle or (bool(baselines) and all(each.cut_off > 0.5 for each in baselines))
 
-        Random options are judged where there is no search baseline.
-        """
-        judged = self.search or self.random_options
-        is_impossible = self.oracle is not None and self.oracle > self.room.horizon
-        return is_impossible or (judged is not None and judged.cut_off > 0.5)
+    @property
+    def _ends_oracle(self) -> bool:
+        return self.oracle is not None and self.oracle > self.room.horizon
 
     @property
     def rows(self) -> tuple[tuple[str, str], ...]:
         """Names and values, for tables and pictures."""
         walk = "not computed" if self.random_walk is None else str(self.random_walk)
         oracle = "no plan known" if self.oracle is None else f"{self.oracle:,.0f} primitives"
+        horizon = ("too short for the oracle" if self._ends_oracle else
+                   "short, as baselines run out of time" if self.is_horizon_short else "long enough")
         return (
             ("oracle", oracle),
             ("search", "none for this puzzle" if self.search is None else str(self.search)),
             ("random options", "cannot run" if self.random_options is None else str(self.random_options)),
             ("random walk", walk),
-            ("horizon", f"{self.room.horizon:,} primitives, {'too short' if self.is_horizon_short else 'long enough'}"),
+            ("horizon", f"{self.room.horizon:,} primitives, {horizon}"),
         )
 
     @property

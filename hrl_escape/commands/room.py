@@ -5,6 +5,7 @@ Examples:
     hrl-escape room --room 'larg-2019(size=4)#3'
     hrl-escape room --set room.width=30 obstacles.count=40 --draw room.png
     hrl-escape room --room room.json --json
+    hrl-escape room --room four-rooms --difficulty
 """
 
 from __future__ import annotations
@@ -38,6 +39,9 @@ class RoomArgs(RoomChoice):
     check: bool = False
     """Check that the room is solvable: start, targets and exit are connected, and the puzzle's goal is reachable.
     Exit code 1 if not."""
+    difficulty: bool = False
+    """Measure the difficulty: primitives of the oracle, ten episodes of random options and of the search baseline, the
+    random walk where the room has few states, and whether the horizon is too short. Takes seconds to minutes."""
     draw: tuple[Path, ...] = ()
     """Pictures to write: .svg, .pdf or .png for the map."""
     camera: str | None = None
@@ -61,12 +65,14 @@ def run(args: RoomArgs) -> int:
     if args.check:
         problem = find_unmet_constraint(instance) or _find_dead_end(instance.symbolic_model)
         report["check"] = problem or "solvable"
+    if args.difficulty:
+        report["difficulty"] = instance.difficulty().to_json()
     if args.save is not None:
         instance.save(args.save)
     for path in args.draw:
         _draw(path, instance, args.camera)
     report["files"] = [str(path) for path in (*([args.save] if args.save else []), *args.draw)]
-    print(json.dumps(report, indent=2)) if args.json else _print(report)
+    print(json.dumps(report, indent=2)) if args.json else _print(report, instance)
     return 1 if problem else 0
 
 
@@ -117,7 +123,7 @@ def _draw(path: Path, instance: RoomInstance, camera: str | None) -> None:
         save_map(path, instance)
 
 
-def _print(report: dict[str, Any]) -> None:
+def _print(report: dict[str, Any], instance: RoomInstance) -> None:
     table = Table(show_header=False, box=None, padding=(0, 2), pad_edge=False)
     table.add_column(style="dim")
     wide, deep = report["size"]
@@ -135,6 +141,8 @@ def _print(report: dict[str, Any]) -> None:
                   + (", behind a door" if report["exit"]["door"] else ""))
     if "check" in report:
         table.add_row("check", make_console_text(report["check"]))
+    for name, value in instance.difficulty().rows if "difficulty" in report else ():
+        table.add_row(name, value)
     for path in report["files"]:
         table.add_row("wrote", Text(path))
     Console(soft_wrap=True).print(table)

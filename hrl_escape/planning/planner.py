@@ -105,7 +105,11 @@ class Orders:
             yield [make_goal(op, self._instance) for op in task.operators]
         for op in search.operators:
             if op.add & self._model.goal:
-                yield self.find_ancestors(state, make_goal(op, self._instance))
+                try:
+                    goals = self.find_ancestors(state, make_goal(op, self._instance))
+                except PlanningFailed:  # it is out of reach from here, and another operator opens the exit
+                    continue
+                yield goals
 
     def _find_order(self, state: RoomState, search: TaskSearch, clock: Clock, settings: SearchSettings,
                     last: Goal | None = None, report: PlanningReport | None = None) -> TaskPlan | None:
