@@ -12,14 +12,18 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
+from hrl_escape.agents.training.env_description import make_spec
 from hrl_escape.data.materialise import DataLevel, DataSet
 from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
+
+if TYPE_CHECKING:
+    from hrl_escape.data.played import PlayedData
 
 MINARI_FOLDER = "MINARI_DATASETS_PATH"
 """Environment variable with Minari's folder of data sets."""
@@ -35,7 +39,7 @@ def to_torch(data: RecordedDecisions | Primitives) -> Any:
     return kind(*(torch.from_numpy(np.ascontiguousarray(field)) for field in data))
 
 
-def iterate_trajectories(data: DataSet, level: DataLevel | None = None) -> Iterator[Any]:
+def iterate_trajectories(data: DataSet | PlayedData, level: DataLevel | None = None) -> Iterator[Any]:
     """Yield each trajectory as `Decisions` or `Primitives`, with one block in memory at a time."""
     for block in data.blocks(level):
         kind: Any = type(block)
@@ -44,57 +48,91 @@ def iterate_trajectories(data: DataSet, level: DataLevel | None = None) -> Itera
             yield kind(*(field[begin:end] for field in block))
 
 
-def to_minari(data: DataSet, namespace: str = "hrl_escape", folder: str | PathLike[str] | None = None
-              ) -> tuple[Any, Any]:
-    """Write two sets for Minari, `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`; returns both.
+def import_minari() -> Any:
+    """Import Minari.
 
-    Their environments are `hrl_escape/Ladder-v1` over the rooms of the recording, and over its test rooms for
-    evaluation. Reference scores are the returns of the random policy over options and the best known return.
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import minari  # pyright: ignore[reportMissingImports]  # an extra
+    except ImportError as error:
+        raise MissingExtraError("minari", "data", "Minari's data sets") from error
+    return minari
+
+
+def to_minari(data: DataSet | PlayedData, namespace: str = "hrl_escape", folder: str | PathLike[str] | None = None
+              ) -> tuple[Any, ...]:
+    """Write the sets of decisions and primitives for Minari; returns those of primitives first, if there are any.
+
+    A data set of a rung becomes `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`. Their environments are
+    `hrl_escape/Ladder-v1` over the rooms of the recording, and over its test rooms for evaluation. Reference scores are
+    the returns of the random policy over options and the best known return.
+
+    Own play becomes `NAMESPACE/NAME-primitives-v1` and `-decisions-v1`. Each set holds a description of its
+    environment, from which `recover_environment` makes it again.
 
     Args:
-        data: the data set.
+        data: the data set, or what `record_play` returned.
         namespace: first part of the sets' names.
         folder: folder of data sets, as `MINARI_DATASETS_PATH`, or None for Minari's default.
 
     Raises:
         MissingExtraError: Minari is not installed.
-        UnsupportedError: the rooms do not belong to a rung, so they have no registered id.
+        UnsupportedError: the environment cannot be made again: rooms of no rung, or options that are no function of a
+            module.
     """
-    try:
-        import minari  # pyright: ignore[reportMissingImports]  # an extra
-        from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise MissingExtraError("minari", "data", "export to Minari") from error
-    if data.recording.rooms.place is None:
-        raise UnsupportedError(f"{data.name} has rooms of no rung, so that no id makes its environment again: export "
-                               "it to OGBench's files or to tensors")
-    place = f"{namespace}/{data.recording.rooms.place['rung']}/{data.recording.about['kind']}"
-    made: list[Any] = []
-    levels: tuple[DataLevel, ...] = ("primitives", "decisions")
-    for level in levels:
-        options: Any = {"include_primitives": data.recording.primitive_count > 0} if level == "decisions" and len(
-            data.recording.about["actions"]) > data.recording.primitive_count else False
-        env, test = (rooms.make_env(options, observation=data.observation)
-                     for rooms in (data.recording.rooms, data.test_rooms))
-        scores = data.recording.about["scores"]
-        buffers = [_make_buffer(EpisodeBuffer, number, part)
-                   for number, part in enumerate(iterate_trajectories(data, level))]
-        with _using_minari_folder(folder):
-            made.append(minari.create_dataset_from_buffers(
-                f"{place}-{level}-v1", buffers, env=env.spec, eval_env=test.spec,
-                algorithm_name=data.recording.about["kind"], author="hrl-escape", author_email="none@example.org",
-                code_permalink=data.recording.about["command"],
-                description=f"{data.name}, {level} of the same trajectories; recording {data.recording.digest}",
-                ref_min_score=scores.get("chance"), ref_max_score=scores.get("best_known"),
-                num_episodes_average_score=20, observation_space=env.observation_space,
-                action_space=env.action_space, requirements=["hrl-escape"]))
-        env.close()
-        test.close()
-    return made[0], made[1]
+    minari = import_minari()
+    from hrl_escape.data.played import PlayedData
+
+    with using_minari_folder(folder):
+        if isinstance(data, PlayedData):
+            return tuple(_write_play(minari, data, level, namespace) for level in ("primitives", "decisions")
+                         if level == "decisions" or data.primitives is not None)
+        if data.recording.rooms.place is None:
+            raise UnsupportedError(f"{data.name} has rooms of no rung, so that no id makes its environment again: "
+                                   "export it to OGBench's files or to tensors")
+        return tuple(_write_rung(minari, data, level, namespace) for level in ("primitives", "decisions"))
+
+
+def _write_rung(minari: Any, data: DataSet, level: DataLevel, namespace: str) -> Any:
+    """Write a level of a data set of a rung."""
+    about, scores = data.recording.about, data.recording.about["scores"]
+    place = f"{namespace}/{data.recording.rooms.place['rung']}/{about['kind']}"  # type: ignore[index]
+    has_options = level == "decisions" and len(about["actions"]) > data.recording.primitive_count
+    options: Any = {"include_primitives": data.recording.primitive_count > 0} if has_options else False
+    env, test = (rooms.make_env(options, observation=data.observation)
+                 for rooms in (data.recording.rooms, data.test_rooms))
+    made = minari.create_dataset_from_buffers(
+        f"{place}-{level}-v1", _make_buffers(minari, data, level), env=env.spec, eval_env=test.spec,
+        algorithm_name=about["kind"], author="hrl-escape", author_email="none@example.org",
+        code_permalink=about["command"],
+        description=f"{data.name}, {level} of the same trajectories; recording {data.recording.digest}",
+        ref_min_score=scores.get("chance"), ref_max_score=scores.get("best_known"), num_episodes_average_score=20,
+        observation_space=env.observation_space, action_space=env.action_space, requirements=["hrl-escape"])
+    env.close()
+    test.close()
+    return made
+
+
+def _write_play(minari: Any, data: PlayedData, level: DataLevel, namespace: str) -> Any:
+    """Write a level of own play."""
+    env = data.make_env(level == "decisions", data.gamma)
+    spec = make_spec(env)
+    return minari.create_dataset_from_buffers(
+        f"{namespace}/{data.name}-{level}-v1", _make_buffers(minari, data, level), env=spec,
+        eval_env=spec, algorithm_name="played", author="hrl-escape", author_email="none@example.org",
+        code_permalink="hrl_escape.data.record_play", description=f"{data!r}, {level}",
+        observation_space=env.observation_space, action_space=env.action_space, requirements=["hrl-escape"])
+
+
+def _make_buffers(minari: Any, data: DataSet | PlayedData, level: DataLevel) -> list[Any]:
+    kind = minari.data_collector.EpisodeBuffer
+    return [_make_buffer(kind, number, part) for number, part in enumerate(iterate_trajectories(data, level))]
 
 
 @contextmanager
-def _using_minari_folder(folder: str | PathLike[str] | None) -> Iterator[None]:
+def using_minari_folder(folder: str | PathLike[str] | None) -> Iterator[None]:
     """Set Minari's folder of data sets temporarily, unless it is None."""
     before = os.environ.get(MINARI_FOLDER)
     if folder is not None:

@@ -185,7 +185,7 @@ class DataSet:
                         gamma: float) -> RecordedDecisions:
         recording, rows, after = self.recording, _cover(episodes), _skip_last(each.decisions for each in episodes)
         duration = recording.duration[rows].astype(np.int64)
-        discounted, summed = _discount(np.array(rewards), duration, gamma)
+        discounted, summed = discount_rewards(np.array(rewards), duration, gamma)
         powers = np.array([gamma**k for k in range(int(duration.max()) + 1)])
         observation = np.array(seen)
         first = rows.start + episodes[0].number
@@ -263,9 +263,18 @@ def load_data(name: str | PathLike[str] | Recording, observation: str = "objects
     return DataSet(recording, observation, level, gamma, rooms)
 
 
-def _discount(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: float
-              ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compute discounted and plain sums of each decision's rewards, in the order of summation of `OptionsEnv`."""
+def discount_rewards(rewards: NDArray[np.float64], duration: NDArray[np.int64], gamma: float
+                     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Compute discounted and plain sums of each decision's rewards, in the order of summation of `OptionsEnv`.
+
+    Args:
+        rewards: of all primitives, float64 (P,).
+        duration: primitives of each decision, int64 (D,).
+        gamma: discount per primitive.
+
+    Returns:
+        Discounted and plain sums, float64 (D,) each.
+    """
     begin = np.cumsum(duration) - duration
     discounted, summed = np.zeros(len(duration)), np.zeros(len(duration))
     for place in range(int(duration.max())):

@@ -10,12 +10,14 @@ import inspect
 import numbers
 import operator
 from collections.abc import Callable, Mapping
+from pkgutil import resolve_name
 from types import MappingProxyType
 from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import RenderCollection
 from numpy.typing import NDArray
@@ -28,6 +30,10 @@ from hrl_escape.options.execution import OptionExecution, RunningDecision, Trace
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningSummary
 from hrl_escape.spaces import PointingDiscrete
+
+
+_SPECS = "hrl_escape.agents.training.env_description:find_spec"
+"""Describes environments, which options do not know; imported when a spec is asked for."""
 
 
 class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
@@ -172,6 +178,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._features = observation == "options"
         if self._features:
             self.observation_space = self._extend_space(env.observation_space)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Spec from which `gymnasium.make` makes an equal environment, also after JSON.
+
+        Options of your own must come from a function of a module; otherwise the spec cannot be written as JSON.
+        """
+        return resolve_name(_SPECS)(self, super().spec)
 
     @staticmethod
     def _check(discount: float, max_duration: int | None, observation: str) -> None:

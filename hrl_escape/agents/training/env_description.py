@@ -29,6 +29,7 @@ from typing import Any, Protocol, runtime_checkable
 import gymnasium
 import numpy as np
 from gymnasium import wrappers as standard
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection
@@ -36,7 +37,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeS
 from hrl_escape.agents.registry import join_name
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.checkpoint import compute_state_digest
-from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, describe_damage
+from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnsupportedError, describe_damage
 from hrl_escape.settings import Settings
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection)
@@ -46,6 +47,8 @@ UNKNOWN = {"unknown": True}
 PARTS_GROUP = "hrl_escape.parts"
 """Entry points of other packages: environments, wrappers, settings and functions that run folders can name."""
 
+DESCRIBED_ID = "hrl_escape/Described-v1"
+"""Id in the specs of environments that are kept by their description."""
 MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
@@ -201,6 +204,71 @@ def make_described_env(description: Mapping[str, Any], wrap: Callable[[gymnasium
     except Exception as error:  # a damaged description makes constructors raise almost anything
         raise CheckpointError(f"this environment cannot be made from its description: {describe_damage(error)}. Make "
                               "it and give env=") from error
+
+
+def make_spec(env: gymnasium.Env) -> EnvSpec:
+    """Return a spec from which `gymnasium.make` makes an equal environment, in any process, also after JSON.
+
+    It is the environment's own spec where that can be written as JSON, and otherwise one that holds its description.
+
+    Raises:
+        UnsupportedError: arguments of the environment cannot be described, such as options that are no function of a
+            module.
+    """
+    if env.spec is not None and _is_json(env.spec):
+        return env.spec
+    description = describe_env(env)
+    if lost := sorted(set(_list_lost(description))):
+        raise UnsupportedError(f"{env} cannot be made again from a file: {', '.join(lost)}. Give OptionsEnv a function "
+                               "of a module that makes the options, as in OptionsEnv(env, my_options.make_options)")
+    return _wrap_description(description)
+
+
+def find_spec(env: gymnasium.Env, own: EnvSpec | None) -> EnvSpec | None:
+    """Return an environment's own spec, or one that holds its description where only that can be written as JSON."""
+    if own is None or _is_json(own):
+        return own
+    description = describe_env(env)
+    return own if any(_list_lost(description)) else _wrap_description(description)
+
+
+def _wrap_description(description: Mapping[str, Any]) -> EnvSpec:
+    return EnvSpec(DESCRIBED_ID, f"{__name__}:{make_from_spec.__name__}", disable_env_checker=True,
+                   kwargs={"description": description})
+
+
+def make_from_spec(description: Mapping[str, Any], render_mode: str | None = None) -> gymnasium.Env:
+    """Make the environment of a spec of `make_spec`; imports the code that it names, as every spec does.
+
+    Args:
+        description: from `describe_env`.
+        render_mode: of the innermost environment.
+    """
+    if render_mode is not None:
+        description = {**description, "arguments": {**description["arguments"], "render_mode": render_mode}}
+    return make_described_env(description, trust=True)
+
+
+def _is_json(spec: EnvSpec) -> bool:
+    """Return whether a spec keeps all arguments as JSON."""
+    if any(wrapper.kwargs is None for wrapper in spec.additional_wrappers):
+        return False
+    try:
+        return bool(spec.to_json())
+    except (TypeError, ValueError):
+        return False
+
+
+def _list_lost(value: Any) -> Iterator[str]:
+    """Yield what a description names without keeping it."""
+    if isinstance(value, list):
+        for part in value:
+            yield from _list_lost(part)
+    elif isinstance(value, Mapping) and {"object", "digest"} <= value.keys():
+        yield f"{value['object']} {value.get('name', '')}".strip()
+    elif isinstance(value, Mapping):
+        for name, part in value.items():
+            yield from [f"argument {name}"] if part == UNKNOWN else _list_lost(part)
 
 
 def list_foreign(description: Any) -> list[Any]:

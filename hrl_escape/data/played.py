@@ -1,0 +1,381 @@
+"""Own play in any environment with options: recorded, kept with Minari, and learned from.
+
+    data = record_play(env)                              # asks for an option at every decision
+    to_minari(data, namespace="mine")                    # Minari's sets, which make the environment again
+    train("smdp-fitted-q", data=from_minari("mine/play-decisions-v1"))
+
+`record_play` keeps the reward of every primitive, so that the data can be read at any discount. A set of Minari keeps
+the discounted sums of its decisions, and is read at the discount it was recorded with.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, TypeAlias
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
+from hrl_escape.data.export import import_minari, using_minari_folder
+from hrl_escape.data.materialise import DataLevel, discount_rewards
+from hrl_escape.errors import ActionError, ConfigError, UnsupportedError
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.step_info import ENDINGS, is_discount, read_duration, read_option, read_payment
+
+Choice: TypeAlias = int | str | None
+"""Number or name of an action, or None to end the recording."""
+ChoiceRule: TypeAlias = Callable[[Any, Mapping[str, Any]], Choice]
+"""(observation, info) -> choice of the next decision."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PlayedData:
+    """Decisions in an environment with options, for `train(data=...)` and `to_minari`.
+
+    Attributes:
+        name: name of the data.
+        env: the environment, for tests; agents over primitives are tested in the environment below its options.
+        gamma: discount of the rewards in `decisions`.
+        decisions: the decisions, or None in a set of primitives.
+        primitives: the primitives inside, or None where they were not recorded.
+        level: what `read` and `blocks` return by default.
+    """
+
+    name: str
+    env: gymnasium.Env
+    gamma: float
+    decisions: RecordedDecisions | None
+    primitives: Primitives | None
+    level: DataLevel = "decisions"
+
+    def __repr__(self) -> str:
+        count = "" if self.decisions is None else f", {len(self.decisions.action):,} decisions"
+        rows = self.decisions or self.primitives
+        episodes = 0 if rows is None else int(rows.last.sum())
+        inside = "" if self.primitives is None else f", {len(self.primitives.action):,} primitives"
+        return f"<PlayedData {self.name}: {episodes:,} episodes{count}{inside}>"
+
+    @property
+    def identity(self) -> Mapping[str, Any]:
+        """Name and content hash."""
+        content = hashlib.sha256()
+        for rows in (self.decisions, self.primitives):
+            for field in rows or ():
+                array = np.ascontiguousarray(field)
+                content.update(f"{array.dtype.str} {array.shape}".encode())
+                content.update(array.tobytes())
+        return {"name": self.name, "digest": content.hexdigest(), "observation": str(self.env.observation_space)}
+
+    def read(self) -> RecordedDecisions | Primitives:
+        """Read all data of the default level."""
+        return self.read_decisions(self.gamma) if self.level == "decisions" else self.read_primitives()
+
+    def read_decisions(self, gamma: float) -> RecordedDecisions:
+        """Read all decisions, with rewards discounted by gamma.
+
+        Raises:
+            UnsupportedError: this is a set of primitives.
+            ConfigError: primitives were not recorded, and the discount of the decisions is another.
+        """
+        if self.decisions is None:
+            raise UnsupportedError(f"{self.name} holds primitives without the decisions around them: take an agent "
+                                   "without the prefix smdp-, or the set of decisions")
+        if gamma == self.gamma:
+            return self.decisions
+        if self.primitives is None:
+            raise ConfigError("gamma", gamma, f"{self.gamma:g}, the discount of the decisions in {self.name}; give "
+                              f"the agent settings={{'gamma': {self.gamma:g}}}")
+        rewards, _ = discount_rewards(self.primitives.reward, self.decisions.duration, gamma)
+        return self.decisions._replace(reward=rewards, discount=gamma**self.decisions.duration.astype(np.float64))
+
+    def read_primitives(self) -> Primitives:
+        """Read all primitives.
+
+        Raises:
+            UnsupportedError: they were not recorded.
+        """
+        if self.primitives is None:
+            raise UnsupportedError(f"{self.name} holds no primitives: take an agent over options, such as "
+                                   "smdp-fitted-q, or record with OptionsEnv as the outermost wrapper")
+        return self.primitives
+
+    def blocks(self, level: DataLevel | None = None) -> Iterator[Any]:
+        """Yield all data of a level in one block."""
+        yield self.read_primitives() if (level or self.level) == "primitives" else self.read_decisions(self.gamma)
+
+    def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
+        """Return the environment for tests, with the actions of the decisions or of the primitives."""
+        if self.env.has_wrapper_attr("set_option_discount"):
+            if not options:
+                return find_options_env(self.env).env
+            self.env.get_wrapper_attr("set_option_discount")(gamma)
+        return self.env
+
+
+def find_options_env(env: gymnasium.Env) -> OptionsEnv:
+    """Return the outermost `OptionsEnv` of an environment.
+
+    Raises:
+        UnsupportedError: there is none.
+    """
+    here: Any = env
+    while isinstance(here, gymnasium.Wrapper):
+        if isinstance(here, OptionsEnv):
+            return here
+        here = here.env
+    raise UnsupportedError(f"{env} has no options: wrap it in OptionsEnv(env, options)")
+
+
+class _Rows:
+    """Rows of decisions and primitives while they are recorded."""
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        self.env, self._flat = env, self._find_flat(env)
+        self._decisions: list[tuple[Any, ...]] = []
+        self._primitives: list[tuple[Any, ...]] = []
+        self._trajectory = -1
+        self._actions = int(env.action_space.n)  # type: ignore[attr-defined]
+
+    @staticmethod
+    def _find_flat(env: gymnasium.Env) -> OptionsEnv | None:
+        """Return the environment of options if it shows the primitives inside a decision, else None."""
+        while type(env).__module__.startswith("gymnasium.wrappers.common"):  # these change nothing
+            env = env.env  # type: ignore[attr-defined]
+        shows = isinstance(env, OptionsEnv) and env.level == 0 and isinstance(
+            env.env.action_space, gymnasium.spaces.Discrete)
+        return env if shows else None
+
+    def begin(self, observation: Any, info: Mapping[str, Any]) -> None:
+        """Begin an episode."""
+        self._trajectory += 1
+        self._seen, self._mask = self._check(observation), self._read_mask(info)
+        if self._flat is not None:  # without the features of options that OptionsEnv can append
+            shape = self._flat.env.observation_space.shape
+            self._below = self._seen if shape == self._seen.shape else self._seen[: shape[0]]  # type: ignore[index]
+
+    def add(self, action: int, step: tuple[Any, Any, bool, bool, dict[str, Any]]) -> None:
+        """Append a decision."""
+        shown, reward, terminated, truncated, info = step
+        observation, mask, option = self._check(shown), self._read_mask(info), read_option(info)
+        gamma = self.env.get_wrapper_attr("gamma") if self.env.has_wrapper_attr("gamma") else 0.99
+        payment, last = read_payment(reward, info), terminated or truncated
+        duration = read_duration(info)
+        self._decisions.append((
+            self._seen, action, self._mask, payment.compute_discounted(gamma), payment.summed, duration,
+            gamma**duration, observation, mask, terminated, last, self._trajectory,
+            0 if option is None else ENDINGS.index(option["ended"])))
+        self._seen, self._mask = observation, mask
+        steps = () if self._flat is None else self._flat.last_steps
+        for number, inner in enumerate(steps, 1):
+            reached, is_last = np.asarray(inner.observation), number == len(steps)
+            self._primitives.append((self._below, int(inner.action), sum(inner.rewards), reached, terminated and
+                                     is_last, last and is_last, self._trajectory, action, number == 1))
+            self._below = reached
+
+    def cut(self) -> None:
+        """End the trajectory within an episode."""
+        for rows, kind in ((self._decisions, RecordedDecisions), (self._primitives, Primitives)):
+            place = kind._fields.index("last")
+            if rows:
+                rows[-1] = (*rows[-1][:place], True, *rows[-1][place + 1:])
+
+    def make(self, name: str) -> PlayedData:
+        """Return the data so far."""
+        if not self._decisions:
+            raise UnsupportedError("nothing was recorded: no decision was made")
+        gamma = self.env.get_wrapper_attr("gamma") if self.env.has_wrapper_attr("gamma") else 0.99
+        return PlayedData(name, self.env, float(gamma), _stack(RecordedDecisions, self._decisions),
+                          _stack(Primitives, self._primitives) if self._primitives else None)
+
+    def _check(self, observation: Any) -> NDArray[Any]:
+        array = np.asarray(observation)
+        if array.dtype == object or array.shape != self.env.observation_space.shape:
+            raise UnsupportedError(f"observations of {self.env.observation_space} are no arrays: apply a wrapper such "
+                                   "as gymnasium.wrappers.FlattenObservation below OptionsEnv, or select one part")
+        return array
+
+    def _read_mask(self, info: Mapping[str, Any]) -> NDArray[np.bool_]:
+        mask = info.get("action_mask")
+        return np.ones(self._actions, np.bool_) if mask is None else np.asarray(mask) != 0
+
+
+def _stack(kind: Any, rows: list[tuple[Any, ...]]) -> Any:
+    """Return rows as columns of a kind of data."""
+    types = {"action": np.int64, "mask": np.bool_, "next_mask": np.bool_, "reward": np.float64, "begins": np.bool_,
+             "summed_reward": np.float64, "duration": np.int64, "discount": np.float64, "terminated": np.bool_,
+             "last": np.bool_, "trajectory": np.int64, "ended": np.int64, "option": np.int64}
+    return kind(*(np.array(column, types.get(name)) for name, column in
+                  zip(kind._fields, zip(*rows, strict=True), strict=True)))
+
+
+def record_play(env: gymnasium.Env, choose: ChoiceRule | None = None, *, episodes: int = 1, seed: int = 0,
+                name: str = "play") -> PlayedData:
+    """Play episodes in any environment with options, and record them.
+
+    Args:
+        env: environment with Discrete actions and observations that are arrays. `OptionsEnv` outermost keeps the
+            primitives inside decisions, too.
+        choose: returns the number or the name of the next action, or None to end the recording. By default the choice
+            is asked for in the terminal or the notebook: each decision shows the environment's text picture, if it has
+            one, and the legal actions.
+        episodes: number of episodes; the n-th, from 0, resets with `seed + n`.
+        seed: 0 or more.
+        name: name of the data.
+
+    Returns:
+        The recorded decisions. An episode that was ended by choice is a trajectory without an end of the task.
+
+    Raises:
+        UnsupportedError: observations are no arrays, or no decision was made.
+        ActionError: no such action.
+    """
+    rows, choose = _Rows(env), choose or _Question(env)
+    for number in range(episodes):
+        observation, info = env.reset(seed=seed + number)
+        rows.begin(observation, info)
+        is_over = False
+        while not is_over:
+            action = choose(observation, info)
+            if action is None:
+                rows.cut()
+                return rows.make(name)
+            index = _find_action(env, action)
+            step = env.step(index)
+            observation, _, terminated, truncated, info = step
+            rows.add(index, step)
+            is_over = terminated or truncated
+    return rows.make(name)
+
+
+def _find_action(env: gymnasium.Env, choice: int | str) -> int:
+    """Return the number of an action given by number or name."""
+    names = _list_names(env)
+    if isinstance(choice, str) and choice in names:
+        return names.index(choice)
+    if isinstance(choice, str) or not 0 <= int(choice) < len(names):
+        raise ActionError(choice, len(names))
+    return int(choice)
+
+
+def _list_names(env: gymnasium.Env) -> tuple[str, ...]:
+    if env.has_wrapper_attr("action_names"):
+        return tuple(env.get_wrapper_attr("action_names"))
+    return tuple(map(str, range(int(env.action_space.n))))  # type: ignore[attr-defined]
+
+
+class _Question:
+    """Rule that asks a person in the terminal."""
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        self._env, self._names = env, _list_names(env)
+
+    def __call__(self, observation: Any, info: Mapping[str, Any]) -> Choice:
+        picture = self._env.render() if self._env.render_mode is not None else None
+        print(picture if isinstance(picture, str) else observation)
+        mask = info.get("action_mask")
+        legal = range(len(self._names)) if mask is None else np.flatnonzero(mask).tolist()
+        print(", ".join(f"{number} {self._names[number]}" for number in legal))
+        while True:
+            try:
+                answer = input("action, or q to end: ").strip()
+            except EOFError:
+                return None
+            if answer == "q":
+                return None
+            number = self._names.index(answer) if answer in self._names else answer
+            if str(number).isdecimal() and int(number) in legal:
+                return int(number)
+            print(f"{answer!r} is none of these actions")
+
+
+# --- Minari ------------------------------------------------------------------------------------
+
+
+def from_minari(dataset: Any, folder: str | PathLike[str] | None = None, env: gymnasium.Env | None = None
+                ) -> PlayedData:
+    """Read a set of Minari for `train(data=...)`.
+
+    Args:
+        dataset: id such as `mine/play-decisions-v1`, or a `MinariDataset`. Sets of decisions have `duration` and
+            `discounted_reward` among their infos, as those of `to_minari` and of Minari's
+            `DataCollector(env, record_infos=True)` over an `OptionsEnv`. Others are read as primitives.
+        folder: folder of data sets, as `MINARI_DATASETS_PATH`, or None for Minari's default.
+        env: environment for tests; by default the one that the set makes again. That imports the code which the set
+            names, so read sets of people you trust.
+
+    Raises:
+        MissingExtraError: Minari is not installed.
+        ConfigError: no such data set.
+        UnsupportedError: observations are no arrays, or the set has no environment.
+    """
+    minari = import_minari()
+    with using_minari_folder(folder):
+        if isinstance(dataset, str):
+            try:
+                dataset = minari.load_dataset(dataset)
+            except (FileNotFoundError, ValueError) as error:
+                raise ConfigError("dataset", dataset, "the id of a local data set; `minari list local` shows them"
+                                  ) from error
+        name = dataset.spec.dataset_id
+        if env is None:
+            if dataset.env_spec is None:
+                raise UnsupportedError(f"{name} keeps no environment: give from_minari(..., env=...)")
+            env = dataset.recover_environment()
+        episodes = [episode for episode in dataset.iterate_episodes() if len(episode.actions)]
+    if not episodes or not isinstance(episodes[0].observations, np.ndarray):
+        raise UnsupportedError(f"{name} has no episodes whose observations are arrays")
+    parts = [_read_episode(episode, number, int(env.action_space.n))  # type: ignore[attr-defined]
+             for number, episode in enumerate(episodes)]
+    if isinstance(parts[0], RecordedDecisions):
+        decisions = RecordedDecisions(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+        return PlayedData(name, env, _find_gamma(decisions, name), decisions, None)
+    primitives = Primitives(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+    return PlayedData(name, env, 0.99, None, primitives, "primitives")
+
+
+def _read_episode(episode: Any, number: int, actions: int) -> RecordedDecisions | Primitives:
+    """Return the rows of an episode."""
+    seen, taken = episode.observations, np.asarray(episode.actions, np.int64)
+    count, infos = len(taken), episode.infos or {}
+    terminated = np.asarray(episode.terminations, np.bool_)
+    last = np.arange(count) == count - 1
+    rewards, trajectory = np.asarray(episode.rewards, np.float64), np.full(count, number, np.int64)
+    if not {"duration", "discount", "discounted_reward"} <= infos.keys():
+        option = np.asarray(infos.get("option", -np.ones(count + 1)), np.int64)[1:]
+        begins = np.asarray(infos.get("begins", np.ones(count + 1)), np.bool_)[1:]
+        return Primitives(seen[:-1], taken, rewards, seen[1:], terminated, last, trajectory, option, begins)
+    mask = np.asarray(infos.get("action_mask", np.ones((count + 1, actions)))) != 0
+    summed = np.asarray(infos.get("summed_reward", np.append(0.0, rewards)), np.float64)[1:]
+    return RecordedDecisions(
+        seen[:-1], taken, mask[:-1], np.asarray(infos["discounted_reward"], np.float64)[1:], summed,
+        np.asarray(infos["duration"], np.int64)[1:], np.asarray(infos["discount"], np.float64)[1:], seen[1:], mask[1:],
+        terminated, last, trajectory, _read_endings(infos, count))
+
+
+def _read_endings(infos: Mapping[str, Any], count: int) -> NDArray[np.int64]:
+    """Return how options ended, as indices into `ENDINGS`."""
+    if "ended" in infos:
+        return np.asarray(infos["ended"], np.int64)[1:]
+    ended = infos.get("option", {}).get("ended", [b"reached"] * (count + 1))
+    words = [each.decode() if isinstance(each, bytes) else str(each) for each in ended[1:]]
+    return np.array([ENDINGS.index(word) if word in ENDINGS else 0 for word in words], np.int64)
+
+
+def _find_gamma(decisions: RecordedDecisions, name: str) -> float:
+    """Return the discount per primitive that all decisions agree on.
+
+    Raises:
+        UnsupportedError: they disagree.
+    """
+    longest = int(np.argmax(decisions.duration))
+    gamma = float(decisions.discount[longest] ** (1 / decisions.duration[longest]))
+    gamma = round(gamma, 9)
+    if not all(is_discount(float(discount), gamma, int(duration)) for discount, duration in
+               zip(decisions.discount, decisions.duration, strict=True)):
+        raise UnsupportedError(f"decisions of {name} were recorded with several discounts")
+    return gamma
