@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -73,8 +74,18 @@ def check_decisions(masks: Any, actions: Any, rewards: Any, infos: Any) -> str:
     return f"{len(actions)} decisions, {masked} with a mask, no illegal one; duration and discount as in info"
 
 
+def train_tianshou() -> str:
+    """Train by `examples/tianshou_dqn.py`, with gamma^k in its targets; returns its last line."""
+    done = subprocess.run([sys.executable, str(ROOT / "examples/tianshou_dqn.py")], check=True, text=True,
+                          stdout=subprocess.PIPE)
+    last = done.stdout.splitlines()[-1]
+    found = re.search(r"return (-?[\d.]+)", last)
+    assert found and float(found[1]) > 0, f"the greedy policy does not escape: {last}"
+    return last
+
+
 def check_tianshou() -> str:
-    """Its collector, buffer and DQN, whose network prefers masked actions, greedy and exploring."""
+    """Its collector, buffer and DQN, whose network prefers masked actions, and an example that trains."""
     import torch
     from tianshou.algorithm import DQN
     from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
@@ -112,7 +123,7 @@ def check_tianshou() -> str:
     with policy_within_training_step(policy):
         loss = algorithm.update(buffer, sample_size=32).loss
     assert np.isfinite(loss)
-    return f"{told}; loss of an update {loss:.3g}"
+    return f"{told}; loss of an update {loss:.3g}; {train_tianshou()}"
 
 
 def check_rllib() -> str:

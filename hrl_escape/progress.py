@@ -162,9 +162,9 @@ def describe_results(returns: Sequence[float], successes: Sequence[float | None]
 
     Args:
         returns: returns of episodes, or means of several.
-        successes: success, or success rate, of the same; None where an environment reports none.
+        successes: success, or success rate, of the same; None or NaN where an environment reports none.
     """
-    known = [each for each in successes if each is not None]
+    known = [each for each in successes if each is not None and not math.isnan(each)]
     words = [f"return {sum(returns) / len(returns):.1f}"] if returns else []
     return " ".join(words + ([f"success {sum(known) / len(known):.0%}"] if known else []))
 

@@ -29,6 +29,7 @@ LESSONS = [
     ("cleanrl_ppo.py", ["--primitives", "4096"], [r"4,096 primitives: return -?\d+, \d+% of \d+ episodes escape"]),
     ("pufferlib_ppo.py", ["--primitives", "4096"],
      [r"PufferLib is not installed|\d,\d\d\d primitives: return -?\d+, \d+% of \d+ episodes escape"]),
+    ("tianshou_dqn.py", [], [r"Tianshou is not installed|1,000 decisions: return \d+"]),
     ("torchrl_macros.py", [],
      [r"transform: 8 rewards, sum -17\.122;", r"'brake': 0", r"macro: 8 primitives, reached, sum -17\.122,.*\^k 0\.430",
       r"brake: \d+ primitives, reached", r"brake: cannot start here"]),

@@ -14,9 +14,12 @@ import pytest
 from hrl_escape import EscapeRoomEnv, OptionsEnv, RoomInstance, RoomPlanner, generate, get_preset, train
 from hrl_escape.benchmark.comparison import read_comparison, run_grid
 from hrl_escape.benchmark.grid import Grid, RoomSpec
+from hrl_escape.benchmark.summary import summarise
+from hrl_escape.benchmark.verdict import write_verdict
 from hrl_escape.planning import ArmPlanner
 from hrl_escape.planning.plan import Plan
 from hrl_escape.sets import load_benchmark
+from hrl_escape.text import RoomSession
 
 
 @pytest.fixture(scope="module")
@@ -105,3 +108,37 @@ def test_a_comparison_draws_its_agents_curves(tmp_path: Path):
     comparison = read_comparison(tmp_path)
     assert is_line(comparison, "2 agents", "2 finished runs")
     assert count_shapes(comparison._repr_svg_()) > 5
+    summary = summarise(comparison)
+    assert is_line(summary, "2 agents", "random-options") and is_line(summary.agents[0]) and is_line(
+        summary.agents[0].curve)
+    assert summary._repr_svg_() == comparison._repr_svg_()
+    verdict = write_verdict(summary)
+    assert repr(verdict).splitlines()[0] == verdict[0].text and len(repr(verdict).splitlines()) == len(verdict)
+    page = verdict._repr_html_()
+    assert page.count("<li>") == len(verdict) - 1 and "<code>random-options</code>" in page and "`" not in page
+
+
+def test_options_show_their_actions_the_mask_and_the_last_decision():
+    env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1"))
+    assert "No episode has begun" in env._repr_html_() and ">yes<" not in env._repr_html_()
+    env.reset(seed=0)
+    env.step(env.action_names.index("press-button-1"))
+    shown = ElementTree.fromstring(env._repr_html_())
+    rows = [[cell.text for cell in row] for row in shown.iter("tr")]
+    assert rows[0] == ["action", "name", "legal", "kind"] and len(rows) == 1 + len(env.action_names)
+    assert [legal == "yes" for _, _, legal, _ in rows[1:]] == env.action_masks().tolist()
+    caption, decision = shown.find("figcaption").text, env.last_decision  # type: ignore[union-attr]
+    assert f"press-button-1, {decision['duration']} primitives, reached, reward {decision['summed_reward']:g}" in caption
+
+
+def test_a_session_shows_its_room_and_its_last_turns():
+    session = RoomSession(OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1")))
+    assert is_line(session, "0 turns") and count_shapes(session._repr_svg_()) > 4
+    session.reset(seed=0)
+    session.call("run_option", {"option": "press-button-1"})
+    assert is_line(session, "2 turns") and "run_option {&#x27;option&#x27;: &#x27;press-button-1" in session._repr_html_()
+
+
+def test_moving_maps_have_a_caption_and_a_still_picture(plan: Plan):
+    assert repr(plan).strip("<>").replace(">", "") in plan._repr_html_().partition("<figcaption>")[2]
+    assert count_shapes(plan._repr_svg_()) > len(plan.instance.solids)

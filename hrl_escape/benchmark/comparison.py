@@ -51,12 +51,12 @@ class Monitor:
 
     def keep(self, run: GridRun, result: RunResult) -> None:
         """Count a run of an earlier call."""
-        self._note(run, result)
+        self.results.append((run, result))
         self._kept += 1
 
     def finish(self, run: GridRun, result: RunResult) -> None:
         """Show a finished run."""
-        self._note(run, result)
+        self.results.append((run, result))
         self._say(run, f"efficiency {result.get_final('efficiency'):.3f}, success rate "
                         f"{result.get_final('success_rate'):.0%}, {result.get_final('mean_length'):.0f} primitives an "
                         "episode", "green")
@@ -69,13 +69,11 @@ class Monitor:
     def tick(self, progress: Mapping[str, int]) -> None:
         """Show the primitives of finished and running runs, and the results of the finished ones."""
         ended = len(self.results) + len(self.failures)
+        for _, result in self.results[len(self._finals):]:
+            self._finals.append((result.get_final("mean_return"), result.get_final("success_rate")))
         running = sum(min(primitives, self._primitives) for primitives in progress.values())
         words = describe_results(*zip(*self._finals, strict=True)) if self._finals else ""
         self._report((ended - self._kept) * self._primitives + running, f"{ended} of {len(self.runs)} finished {words}")
-
-    def _note(self, run: GridRun, result: RunResult) -> None:
-        self.results.append((run, result))
-        self._finals.append((result.get_final("mean_return"), result.get_final("success_rate")))
 
     def _say(self, run: GridRun, words: str, colour: str) -> None:
         count = len(self.results) + len(self.failures)

@@ -18,6 +18,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.pictures.moving_map import embed_moving_map, make_frames, make_moving_map
 from hrl_escape.errors import UnknownNameError, UnsupportedError
+from hrl_escape.figures import make_svg
+from hrl_escape.notebook import make_caption
 from hrl_escape.step_info import read_option
 
 
@@ -46,7 +48,14 @@ class RecordedEpisode:
 
     def _repr_html_(self) -> str:
         decisions = [(name, count) for name, count, _ in self.decisions]
-        return embed_moving_map(self.instance, make_moving_map(self.instance, self.states, decisions))
+        frame = embed_moving_map(self.instance, make_moving_map(self.instance, self.states, decisions))
+        return make_caption(frame, repr(self).strip("<>"))
+
+    def _repr_svg_(self) -> str:
+        from hrl_escape.env.pictures.maps import Trajectory, make_map  # loads matplotlib
+
+        path = [(state.x, state.y) for state in self.states]
+        return make_svg(make_map(self.instance, self.states[-1], [Trajectory(path, "episode")]))
 
     def to_json(self) -> dict[str, Any]:
         """Return `return`, `primitives`, `success`, `decisions` and `frames` (see `make_frames`) as JSON values."""

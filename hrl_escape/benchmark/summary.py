@@ -40,6 +40,7 @@ from hrl_escape.benchmark.statistics import (
 )
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
+from hrl_escape.figures import Pictured
 from hrl_escape.sets.places import RunPlace
 
 FinishedRun: TypeAlias = tuple[GridRun, RunResult]
@@ -52,7 +53,7 @@ PROFILE = np.round(np.concatenate([np.linspace(-0.05, 0.9, 96), np.linspace(0.90
 UNIT = (0.0, 1.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Curve:
     """A learning curve of several runs, at common numbers of primitives."""
 
@@ -62,8 +63,11 @@ class Curve:
     metrics: dict[str, tuple[Floats, Floats, Floats]]
     """Middle, low and high of each of `CURVE_METRICS`, each (points,)."""
 
+    def __repr__(self) -> str:
+        return f"<Curve of {', '.join(self.metrics)} at {len(self.primitives)} points>"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class AgentSummary:
     """Results of one agent."""
 
@@ -96,6 +100,9 @@ class AgentSummary:
     planner_calls: float  # mean of a run
     seconds: float  # mean of a run's training
     planner_seconds: float  # of these, in planners
+
+    def __repr__(self) -> str:
+        return f"<AgentSummary {self.label}: {self.runs} runs, success rate {self.success.value:.0%}>"
 
     @property
     def label(self) -> str:
@@ -135,9 +142,11 @@ class RoomSummary:
         return self.place.instance
 
 
-@dataclass(frozen=True)
-class Summary:
-    """Results of a comparison."""
+@dataclass(frozen=True, repr=False)
+class Summary(Pictured):
+    """Results of a comparison. Notebooks draw its learning curves."""
+
+    _picture = "hrl_escape.benchmark.reporting.figures:draw_summary"
 
     grid: Grid  # its settings
     rooms: tuple[RoomSummary, ...]  # in the grid's order
@@ -145,6 +154,10 @@ class Summary:
     runs: tuple[FinishedRun, ...]  # runs with results; score ranges raised to the best results
     pairs: tuple[tuple[Pair, ...], ...]  # (agents, agents), comparison of the first with the second by efficiency
     versions: dict[str, str]  # package -> version, `a, b` where runs differ
+
+    def __repr__(self) -> str:
+        labels = ", ".join(agent.label for agent in self.agents[:6]) + ", ..." * (len(self.agents) > 6)
+        return f"<Summary of {len(self.runs)} runs of {len(self.agents)} agents: {labels}>"
 
     def get_pair(self, first: AgentSummary, second: AgentSummary) -> Pair:
         """Return the comparison of two agents."""

@@ -19,9 +19,12 @@ from hrl_escape.benchmark.score_range import CEILING, PLANNER
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.benchmark.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
+from hrl_escape.notebook import mark_labels
 
 MOST_LABELS = 4
 """Largest number of agents in a headline."""
+MARKS = {"headline": "", "finding": "- ", "caution": "! "}
+"""Marks before the kinds of sentences, in text."""
 SETTLED = 0.9
 """Smallest success rate of agents whose primitives of an escape are compared."""
 
@@ -34,13 +37,27 @@ class Sentence:
     text: str  # plain words; labels of agents between backticks
 
 
-def write_verdict(summary: Summary) -> list[Sentence]:
+class Verdict(list[Sentence]):
+    """Sentences of a verdict: one headline, then findings, then cautions. Notebooks show them as a list."""
+
+    def __repr__(self) -> str:
+        return "\n".join(f"{MARKS[each.kind]}{each.text}" for each in self)
+
+    def _repr_html_(self) -> str:
+        head, *others = (mark_labels(each.text) for each in self)
+        cautions = [each.kind == "caution" for each in self[1:]]
+        rows = "".join(f"<li>{'<b>Caution.</b> ' if is_caution else ''}{text}</li>"
+                       for text, is_caution in zip(others, cautions, strict=True))
+        return f"<p><b>{head}</b></p><ul>{rows}</ul>"
+
+
+def write_verdict(summary: Summary) -> Verdict:
     """Write the verdict: one headline, then findings, then cautions."""
     findings = [*_compare_views(summary), *_compare_with_random(summary), *_compare_with_search(summary),
                 *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
                 *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
-    return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
-            *(Sentence("caution", text) for text in _write_cautions(summary))]
+    return Verdict([Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
+                    *(Sentence("caution", text) for text in _write_cautions(summary))])
 
 
 def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:

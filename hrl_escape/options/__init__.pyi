@@ -13,7 +13,7 @@ from .option_sets import register_option_set
 from .options_env import OptionsEnv
 from .pushing import PushOption
 from .skills import make_go_to, make_press, make_reach
-from .torchrl_env import OptionsTorchRLEnv, SMDPTransform
+from .torchrl_env import OptionsGymWrapper, OptionsTorchRLEnv, SMDPTransform
 
 __all__ = [
     "BatchedOptionsEnv",
@@ -26,6 +26,7 @@ __all__ = [
     "OptionDegradation",
     "OptionDomain",
     "OptionsEnv",
+    "OptionsGymWrapper",
     "OptionsTorchRLEnv",
     "PlannedOption",
     "PushOption",

@@ -27,6 +27,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
 from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice, read_termination
+from hrl_escape.notebook import make_caption, make_html_table
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningSummary
 from hrl_escape.spaces import PointingDiscrete
@@ -121,6 +122,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         primitive_count: number of primitives among the actions; they come first.
         level: number of environments of options below this one.
         last_steps: steps of the wrapped environment in the latest decision.
+        last_decision: `info["option"]` of the latest decision, with its `duration` and `summed_reward`; empty before
+            the first episode.
         planning_report: planning of the latest decision. In a vector environment, `get_attr("planning_report")` returns
             one per sub-environment.
         planning_total: planning of all decisions since construction.
@@ -158,6 +161,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             options if options is not None else self._domain.make_default_options(option_set, planner))
         self.planning_report = self.planning_total = PlanningSummary()
         self.last_steps: tuple[DomainStep, ...] = ()
+        self.last_decision: Mapping[str, Any] = {}
         self._run: OptionExecution | None = None
         self._observation: Any = None  # of the wrapped environment, at the present state
         self._shown: Any = None  # the same, as the agent saw it
@@ -178,6 +182,17 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._features = observation == "options"
         if self._features:
             self.observation_space = self._extend_space(env.observation_space)
+
+    def _repr_html_(self) -> str:
+        mask = self.action_masks() if self._can_step else None
+        rows = [(number, name, "" if mask is None else "yes" if mask[number] else "no",
+                 "option" if number >= self.primitive_count else "primitive")
+                for number, name in enumerate(self.action_names)]
+        last = self.last_decision
+        words = "No episode has begun." if not last else "A new episode." if last["index"] < 0 and not last[
+            "duration"] else (f"Last decision: {last['name'] or 'idle'}, {last['duration']} primitives, {last['ended']}, "
+                              f"reward {last['summed_reward']:g}.")
+        return make_caption(make_html_table(("action", "name", "legal", "kind"), rows), f"{self}. {words}")
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -349,6 +364,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             "option": {"name": self.action_names[index] if index >= 0 else "", "index": np.int64(index),
                        "ended": decision.ended, "reason": decision.reason},
         }
+        self.last_decision = info["option"] | {name: info[name] for name in ("duration", "summed_reward")}
         option = self.options[index - self.primitive_count] if index >= self.primitive_count else None
         self._domain.inform(info, decision.steps, option, decision.report.unavoidable)
         if self._tracing:

@@ -1,6 +1,7 @@
-"""Rooms with options as TorchRL environments, and a transform that passes durations to TorchRL's losses.
+"""Environments with options for TorchRL, and a transform that passes durations to TorchRL's losses.
 
-    env = OptionsTorchRLEnv(64, "paper-two-button")
+    env = OptionsTorchRLEnv(64, "paper-two-button")  # many rooms
+    env = OptionsGymWrapper(OptionsEnv(your_env, your_options))  # any environment with options
     data = Collector(env, policy, ..., postproc=SMDPTransform())
 
 TorchRL's value estimators discount by gamma to the power of `steps_to_next_obs` at the root of the data, and ignore
@@ -11,16 +12,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Unbounded
-from torchrl.envs import Transform
+from torchrl.data import Binary, TensorSpec, Unbounded
+from torchrl.envs import GymWrapper, Transform
+from torchrl.envs.gym_like import BaseInfoDictReader
 
 from hrl_escape.env.torchrl_env import BatchTorchRLEnv
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.vector_env import OptionsVectorEnv
 
-DURATION, STEPS = "duration", "steps_to_next_obs"
+DURATION, DISCOUNT, STEPS = "duration", "discount", "steps_to_next_obs"
 
 
 class OptionsTorchRLEnv(BatchTorchRLEnv[OptionsVectorEnv]):
@@ -55,6 +59,58 @@ class OptionsTorchRLEnv(BatchTorchRLEnv[OptionsVectorEnv]):
 
     def _get_reward(self, reward: Tensor, info: dict[str, Any]) -> Tensor:
         return info["discounted_reward"].to(torch.float32)
+
+
+class OptionsGymWrapper(GymWrapper):
+    """Any environment with options, such as an `OptionsEnv` over your own environment, with one decision per step.
+
+    Observation, `done` and seeds are as in TorchRL's `GymWrapper`. These keys hold the decision, with no batch size:
+
+    - `action`: int64, categorical
+    - `action_mask`: bool (actions,), the legal actions
+    - `duration`: int64 (1,), primitives of the decision that led here, 0 after a reset
+    - `discount`: float32 (1,), gamma^k of it, 1 after a reset
+    - `reward`: float32 (1,), the discounted sum of its rewards
+
+    Wrap it in `TransformedEnv(env, ActionMask())` for random rollouts of legal actions. `ParallelEnv` and `SerialEnv`
+    run several.
+
+    Args:
+        env: environment whose `info` has the keys of `OptionsEnv`; wrappers of Gymnasium may be around it.
+        arguments: further arguments of `GymWrapper`, such as `device`.
+
+    Raises:
+        UnsupportedError: it has no options.
+    """
+
+    def __init__(self, env: gymnasium.Env, **arguments: Any) -> None:
+        if not env.has_wrapper_attr("action_names"):
+            raise UnsupportedError(f"{env} has no options: wrap it in OptionsEnv(env, options), or use TorchRL's "
+                                   "GymWrapper")
+        super().__init__(env, categorical_action_encoding=True, **arguments)
+        self.set_info_dict_reader(_DecisionReader(len(env.get_wrapper_attr("action_names"))))
+
+
+class _DecisionReader(BaseInfoDictReader):
+    """Copies mask, duration and discounts of a decision from `info`."""
+
+    def __init__(self, actions: int) -> None:
+        self._specs = {"action_mask": Binary(actions, dtype=torch.bool),
+                       DURATION: Unbounded(shape=(1,), dtype=torch.int64),
+                       DISCOUNT: Unbounded(shape=(1,), dtype=torch.float32)}
+
+    def __call__(self, info_dict: dict[str, Any], tensordict: TensorDictBase) -> TensorDictBase:
+        for name, spec in self._specs.items():
+            value = torch.as_tensor(info_dict[name], dtype=spec.dtype, device=tensordict.device)
+            tensordict.set(name, value.reshape(spec.shape))
+        if "reward" in tensordict:  # absent after a reset
+            tensordict["reward"] = torch.full_like(tensordict["reward"], float(info_dict["discounted_reward"]))
+        return tensordict
+
+    @property
+    def info_spec(self) -> dict[str, TensorSpec]:
+        """Specs of the keys."""
+        return dict(self._specs)
 
 
 class SMDPTransform(Transform):

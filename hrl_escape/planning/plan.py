@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, Kinematics, RoomState
 from hrl_escape.errors import EscapeError
+from hrl_escape.figures import make_svg
+from hrl_escape.notebook import make_caption
 from hrl_escape.planning.goals import Goal, name_goal
 
 
@@ -111,7 +113,12 @@ class Plan:
         return f"<Plan {self.name}: {self.cost} primitives, return {self.compute_return():g}, by {legs or 'no leg'}>"
 
     def _repr_html_(self) -> str:
-        return self.play()
+        return make_caption(self.play(), repr(self).strip("<>"))
+
+    def _repr_svg_(self) -> str:
+        from hrl_escape.env.pictures.maps import Trajectory, make_map  # loads matplotlib
+
+        return make_svg(make_map(self.instance, self.states[-1], [Trajectory(self.path, self.name)]))
 
     def compute_return(self) -> float:
         """Return the undiscounted return of the plan as predicted, ignoring the horizon."""

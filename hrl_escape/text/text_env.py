@@ -23,7 +23,9 @@ from hrl_escape.agents.text_agent import REVEAL_LEVELS, Level
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedError
+from hrl_escape.figures import make_svg
 from hrl_escape.names import count_nouns, join_words
+from hrl_escape.notebook import make_caption, make_html_table
 from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
@@ -33,6 +35,10 @@ from hrl_escape.text.words import clean, list_option_names, place, tell_changes,
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
 """Free looks between two moves; most repeats of a primitive; most characters of an invalid value in the transcript."""
+
+
+SHOWN_TURNS = 4
+"""Turns that a notebook shows of a session."""
 
 
 class ToolCall(NamedTuple):
@@ -418,6 +424,21 @@ class RoomSession:
 
     def __init__(self, env: gymnasium.Env, reveal: Level = "places") -> None:
         self.env = env if isinstance(env, TextEnv) else TextEnv(env, reveal)
+
+    def __repr__(self) -> str:
+        room: Any = self.env.unwrapped
+        return f"<RoomSession in {room.instance.name}: {len(self.transcript)} turns>"
+
+    def _repr_html_(self) -> str:
+        rows = [("" if turn.call is None else f"{turn.call.name} {turn.call.arguments or ''}", turn.text)
+                for turn in self.transcript[-SHOWN_TURNS:]]
+        return make_caption(self._repr_svg_() + make_html_table(("call", "answer"), rows), repr(self).strip("<>"))
+
+    def _repr_svg_(self) -> str:
+        from hrl_escape.env.pictures.maps import make_map  # loads matplotlib
+
+        room: Any = self.env.unwrapped
+        return make_svg(make_map(room.instance, room.get_state() if self.transcript else None))
 
     def reset(self, seed: int | None = None) -> str:
         """Begin a game and return its first text, at the level `reveal`. The seed fixes start and noise."""

@@ -1,16 +1,19 @@
-"""Rooms with options under TorchRL: specs hold, decisions are those of `OptionsEnv`, losses see their durations."""
+"""Options under TorchRL: specs hold, decisions are those of `OptionsEnv`, losses see their durations."""
 
 from __future__ import annotations
 
+import gymnasium
 import pytest
 import torch
 from torchrl.collectors import Collector
 from torchrl.data import Categorical, LazyTensorStorage, ReplayBuffer
+from torchrl.envs import ActionMask, GymWrapper, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import MLP, QValueActor
 from torchrl.objectives import DQNLoss, ValueEstimators
 
-from hrl_escape.options import OptionsTorchRLEnv, SMDPTransform
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.options import FunctionOption, OptionsEnv, OptionsGymWrapper, OptionsTorchRLEnv, SMDPTransform
 
 ROOMS = 4
 
@@ -75,3 +78,47 @@ def test_losses_discount_by_the_durations():
             target = batch["next", "reward"] + 0.97 ** batch["next", "duration"] * (
                 ~batch["next", "terminated"]) * reached.amax(1, keepdim=True)
             assert float(loss(batch)["loss"]) == pytest.approx(float(((value - target) ** 2).mean()), rel=1e-5)
+
+
+def make_cart(**arguments) -> OptionsEnv:
+    """A cart with two options that balance for some primitives, one of them legal only while the pole leans right."""
+    options = [FunctionOption("balance", lambda seen: int(seen[2] + 0.3 * seen[3] > 0), lambda seen: abs(seen[3]) < 0.1),
+               FunctionOption("push-right", lambda seen: 1, lambda seen: seen[2] < 0, lambda seen: seen[2] >= 0)]
+    return OptionsEnv(gymnasium.make("CartPole-v1"), options, discount=0.9, **arguments)
+
+
+def test_an_environment_of_your_own_has_masks_durations_and_discounts_in_its_tensors():
+    env, plain = OptionsGymWrapper(make_cart()), make_cart()
+    check_env_specs(env)
+    assert env.action_spec.n == 4
+    data = TransformedEnv(OptionsGymWrapper(make_cart()), ActionMask()).rollout(200, break_when_any_done=True)
+    state = env.reset(seed=3)
+    observation, info = plain.reset(seed=3)
+    assert state["duration"].item() == 0 and state["discount"].item() == 1 and "reward" not in state
+    durations = set()
+    for _ in range(30):
+        assert torch.equal(state["observation"], torch.from_numpy(observation))
+        assert state["action_mask"].tolist() == (info["action_mask"] != 0).tolist()
+        action = int(torch.nonzero(state["action_mask"]).flatten()[-1])
+        observation, _, terminated, truncated, info = plain.step(action)
+        step = env.step(state.set("action", torch.tensor(action)))["next"]
+        durations.add(int(step["duration"]))
+        assert step["duration"].item() == info["duration"] and step["terminated"].item() == terminated
+        assert step["discount"].item() == pytest.approx(0.9 ** info["duration"])
+        assert step["reward"].item() == pytest.approx(info["discounted_reward"])
+        state = step
+        if terminated or truncated:
+            break
+    assert len(durations) > 1
+    taken = data["action_mask"].gather(1, data["action"].unsqueeze(1))
+    assert taken.all() and not data["action_mask"].all()
+    with pytest.raises(UnsupportedError, match="GymWrapper"):
+        OptionsGymWrapper(gymnasium.make("CartPole-v1"))
+    assert isinstance(env, GymWrapper)
+
+
+def test_a_collector_gathers_decisions_of_several_copies_for_losses():
+    copies = SerialEnv(2, lambda: TransformedEnv(OptionsGymWrapper(make_cart()), ActionMask()))
+    (data,) = Collector(copies, None, frames_per_batch=40, total_frames=40, postproc=SMDPTransform())
+    assert data.shape == (2, 20) and data["next", "duration"].max() > 1
+    assert torch.equal(data["steps_to_next_obs"], data["next", "duration"])

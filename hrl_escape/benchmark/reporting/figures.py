@@ -81,8 +81,13 @@ def save_figures(summary: Summary, folder: Path) -> None:
 
 def draw_comparison(comparison: Comparison) -> Figure:
     """Draw efficiency against primitives for all agents."""
+    return draw_summary(summarise(comparison))
+
+
+def draw_summary(summary: Summary) -> Figure:
+    """Draw efficiency against primitives for all agents."""
     with matplotlib.rc_context(_STYLE):
-        return draw_curves(summarise(comparison), "efficiency", "primitives")
+        return draw_curves(summary, "efficiency", "primitives")
 
 
 def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
