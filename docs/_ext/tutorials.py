@@ -25,8 +25,13 @@ from sphinx.util.docutils import SphinxDirective
 
 QUIET = logging.getLogger("tutorials.kernel")
 QUIET.setLevel(logging.ERROR)
-INSTALL = """# Where hrl-escape is not installed yet, upload a checkout, take the # away and run this first:
-# %pip install -q -c hrl_escape/constraints.txt ./hrl_escape"""
+INSTALL = """# Installs hrl-escape where it is missing, as on Colab. To install a checkout, give its folder instead of the name.
+import importlib.util
+
+if importlib.util.find_spec("hrl_escape") is None:
+    %pip install -q "{}\""""
+EXTRAS = {"minari": "data", "minigrid": "bench"}
+"""Packages that tutorials import, and the extra that installs them."""
 
 
 def split(source: str) -> list[tuple[str, str]]:
@@ -47,6 +52,14 @@ def split(source: str) -> list[tuple[str, str]]:
     return [(kind, text) for kind, text in joined if text]
 
 
+def make_install_cell(source: str) -> str:
+    """The first cell of a script's notebook, with the extras that its imports need."""
+    imported = {name.name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Import) for name in node.names}
+    imported |= {node.module or "" for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
+    extras = sorted({EXTRAS[top] for name in imported if (top := name.partition(".")[0]) in EXTRAS})
+    return INSTALL.format(f"hrl-escape[{','.join(extras)}]" if extras else "hrl-escape")
+
+
 def make_notebook(script: Path) -> Any:
     """The script as a notebook that was run in an empty folder.
 
@@ -55,7 +68,7 @@ def make_notebook(script: Path) -> Any:
     """
     source = script.read_text(encoding="utf-8")
     title = (ast.get_docstring(ast.parse(source)) or "").partition("\n")[0].rstrip(".")
-    cells = [nbformat.v4.new_markdown_cell(f"# {title}"), nbformat.v4.new_code_cell(INSTALL)]
+    cells = [nbformat.v4.new_markdown_cell(f"# {title}"), nbformat.v4.new_code_cell(make_install_cell(source))]
     cells += [nbformat.v4.new_markdown_cell(text) if kind == "prose" else nbformat.v4.new_code_cell(text)
               for kind, text in split(source)]
     for number, cell in enumerate(cells):

@@ -120,9 +120,25 @@ def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool 
     return resolve_name(engines.get(engine).engine)(instance, window=window)
 
 
+class LateRenderer:
+    """Renderer that is made for its first picture, so that rooms step without what their pictures need."""
+
+    def __init__(self, instance: RoomInstance, place: str) -> None:
+        self._instance, self._place = instance, place
+        self._renderer: Renderer | None = None
+
+    def render(self, state: RoomState, camera: str, width: int, height: int, *,
+               trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
+        """Take a picture of the room in a state; see `Renderer`."""
+        if self._renderer is None:
+            self._renderer = resolve_name(self._place)(self._instance)
+        assert self._renderer is not None
+        return self._renderer.render(state, camera, width, height, trail=trail)
+
+
 def make_renderer(instance: RoomInstance, engine: str = "bullet") -> Renderer:
-    """Make a renderer of a room. It allocates resources with its first picture."""
-    return resolve_name(engines.get(engine).renderer)(instance)
+    """Make a renderer of a room. It imports its modules and allocates resources with its first picture."""
+    return LateRenderer(instance, engines.get(engine).renderer)
 
 
 def check_camera(camera: str) -> None:

@@ -190,7 +190,7 @@ def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.flo
 def _find_shipped(file: str) -> Path:
     spec = importlib.util.find_spec("pybullet_data")
     if spec is None or spec.origin is None:
-        raise RobotError("pybullet_data is not installed; it comes with pybullet")
+        raise RobotError("pybullet_data is not installed; it comes with pybullet: pip install 'hrl-escape[bullet]'")
     return Path(spec.origin).parent / file
 
 

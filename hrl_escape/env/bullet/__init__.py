@@ -1,7 +1,7 @@
 """The Bullet engine: one room, kinematic or rigid, its cameras, its window, and pybullet's clients.
 
-Importing any module of this package imports pybullet here first, without the line that its C code writes to stderr. All
-other output of C libraries is passed on.
+`load_pybullet` imports pybullet, without the line that its C code writes to stderr. All other output of C libraries is
+passed on. Physics, the window and the cameras need pybullet; kinematic rooms step without it.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
+from typing import Any
 
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.errors import MissingExtraError, UnsupportedError
 
 
 @contextmanager
@@ -35,8 +37,25 @@ def _drop_stderr_lines(start: bytes) -> Iterator[None]:
             os.write(2, b"".join(line for line in written if not line.startswith(start)))
 
 
-with _drop_stderr_lines(b"pybullet build time"):
-    import pybullet
+@cache
+def load_pybullet() -> Any:
+    """Import pybullet.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        with _drop_stderr_lines(b"pybullet build time"):
+            import pybullet
+    except ImportError as error:
+        raise MissingExtraError("pybullet", "bullet", "physics and Bullet's pictures (kinematic rooms step without it)"
+                                ) from error
+    return pybullet
+
+
+def is_connected(client: int) -> bool:
+    """Return whether a physics client exists."""
+    return bool(load_pybullet().isConnected(client))
 
 
 def connect(window: bool = False) -> int:
@@ -47,6 +66,7 @@ def connect(window: bool = False) -> int:
     """
     if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
         raise UnsupportedError("Bullet's window needs a display, and DISPLAY is not set. Use render_mode='rgb_array'")
+    pybullet = load_pybullet()
     client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
     if client < 0:
         raise UnsupportedError("Bullet has no free physics client. Close rooms that are no longer used")
@@ -55,5 +75,5 @@ def connect(window: bool = False) -> int:
 
 def disconnect(client: int) -> None:
     """Free a physics client, if it exists."""
-    if pybullet.isConnected(client):
-        pybullet.disconnect(client)
+    if is_connected(client):
+        load_pybullet().disconnect(client)

@@ -10,10 +10,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import pybullet
-
-from hrl_escape.env.bullet.cameras import Stage
-from hrl_escape.env.bullet.physics import PhysicsDynamics
+from hrl_escape.env.bullet import is_connected
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules, Transition, check_state
 from hrl_escape.errors import ClosedError
@@ -35,12 +32,20 @@ class BulletRoom:
         Raises:
             UnsupportedError: a window without a display; under physics, a gripper, or too many rooms open in this
                 process.
+            MissingExtraError: physics or a window without pybullet.
         """
         self.instance, self._is_closed, self._next_frame = instance, False, 0.0
         is_kinematic = instance.dynamics.kind == "kinematic"
         self.rules: Rules = Kinematics(instance) if is_kinematic else Rules(instance)
-        self._window = Stage(instance, window=True) if window else None
-        self.physics = None if is_kinematic else PhysicsDynamics(self.rules)
+        self._window = self.physics = None
+        if window:
+            from hrl_escape.env.bullet.cameras import Stage  # loads pybullet
+
+            self._window = Stage(instance, window=True)
+        if not is_kinematic:
+            from hrl_escape.env.bullet.physics import PhysicsDynamics  # loads pybullet
+
+            self.physics = PhysicsDynamics(self.rules)
         self._mover: Any = self.physics or self.rules
         self.state = self.reset(instance.starts[0])
 
@@ -85,7 +90,7 @@ class BulletRoom:
             self._require_open()
         try:
             transition = mover(self.state, motion)
-        except pybullet.error:
+        except Exception:  # Bullet raises errors of its own once its client is gone
             self._require_open()
             raise
         self._enter(transition.state)
@@ -110,7 +115,7 @@ class BulletRoom:
     def is_open(self) -> bool:
         """True until the room or its window is closed."""
         clients = [owner.client for owner in (self.physics, self._window) if owner is not None]
-        return not self._is_closed and all(map(pybullet.isConnected, clients))
+        return not self._is_closed and all(map(is_connected, clients))
 
     def close(self) -> None:
         """Free the physics clients; further calls have no effect. Deleting the room frees them too."""
