@@ -1,7 +1,7 @@
 """Tianshou's DQN on options, with masks and with the right discount of decisions that take k primitives.
 
-Tianshou 2 multiplies the next value by a constant gamma. `OptionsDQN` below multiplies it by gamma^k. Install it into an
-environment of its own with `pip install tianshou`. Without it, the script prints this and ends.
+Tianshou 2 multiplies the next value by a constant gamma. `OptionsDQN` below multiplies it by gamma^k. Install Tianshou
+into an environment of its own with `pip install tianshou`. Without it, the script prints this and ends.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A release people can install: the workflow of a tag, what the base package requires, and notebooks that install it."""
+"""A release people can install: the workflow of a tag, the base requirements, and notebooks that install it."""
 
 from __future__ import annotations
 

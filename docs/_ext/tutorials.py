@@ -25,7 +25,7 @@ from sphinx.util.docutils import SphinxDirective
 
 QUIET = logging.getLogger("tutorials.kernel")
 QUIET.setLevel(logging.ERROR)
-INSTALL = """# Installs hrl-escape where it is missing, as on Colab. To install a checkout, give its folder instead of the name.
+INSTALL = """# Installs hrl-escape where it is missing, as on Colab. For a checkout, give its folder for the name.
 import importlib.util
 
 if importlib.util.find_spec("hrl_escape") is None:
@@ -54,8 +54,9 @@ def split(source: str) -> list[tuple[str, str]]:
 
 def make_install_cell(source: str) -> str:
     """The first cell of a script's notebook, with the extras that its imports need."""
-    imported = {name.name for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Import) for name in node.names}
-    imported |= {node.module or "" for node in ast.walk(ast.parse(source)) if isinstance(node, ast.ImportFrom)}
+    statements = list(ast.walk(ast.parse(source)))
+    imported = {name.name for node in statements if isinstance(node, ast.Import) for name in node.names}
+    imported |= {node.module or "" for node in statements if isinstance(node, ast.ImportFrom)}
     extras = sorted({EXTRAS[top] for name in imported if (top := name.partition(".")[0]) in EXTRAS})
     return INSTALL.format(f"hrl-escape[{','.join(extras)}]" if extras else "hrl-escape")
 

@@ -9,7 +9,6 @@ import tempfile
 from collections import deque
 
 import gymnasium
-import minari
 import numpy as np
 from gymnasium.wrappers import FlattenObservation
 from minigrid.core.constants import OBJECT_TO_IDX
@@ -55,7 +54,7 @@ def turn_towards(state, goal):
         if ahead == goal:
             return first
         code, _, shut = cells[ahead]
-        is_free = code in (OBJECT_TO_IDX["empty"], OBJECT_TO_IDX["goal"]) or (code == OBJECT_TO_IDX["door"] and not shut)
+        is_free = code in map(OBJECT_TO_IDX.get, ("empty", "goal")) or (code == OBJECT_TO_IDX["door"] and not shut)
         turns = [(LEFT, here, (way - 1) % 4), (RIGHT, here, (way + 1) % 4)]
         for action, there, heading in turns + [(FORWARD, ahead, way)] * bool(is_free):
             if (there, heading) not in seen:
@@ -107,8 +106,8 @@ for dataset in to_minari(played, namespace="mine", folder=folder):
 again = dataset.recover_environment()
 print("actions of the recovered environment:", ", ".join(again.get_wrapper_attr("action_names")[-3:]))
 
-# `from_minari` reads a set for agents that learn offline. Fitted Q-iteration combines the best decisions of all episodes.
-# `bins=256` keeps the codes of MiniGrid's cells apart. The tests begin in other grids than the episodes.
+# `from_minari` reads a set for agents that learn offline. Fitted Q-iteration combines the best decisions of all
+# episodes. `bins=256` keeps the codes of MiniGrid's cells apart. The tests begin in other grids than the episodes.
 
 data = from_minari("mine/door-key-decisions-v1", folder=folder)
 result = train("smdp-fitted-q+primitives", data=data, settings={"values": "table", "bins": 256, "gamma": 0.95},

@@ -1,7 +1,8 @@
 from .catalogue import DataSpec, find_recording, list_specs, parse_spec
 from .export import to_minari, to_ogbench, to_torch
 from .materialise import DataSet, load_data
-from .played import PlayedData, from_minari, record_play
+from .played import from_minari, record_play
+from .played_data import PlayedData
 from .record import make_played_recording, record
 from .recording import Recording, load_recording, save_recording
 

@@ -12,18 +12,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
 from hrl_escape.agents.training.env_description import make_spec
 from hrl_escape.data.materialise import DataLevel, DataSet
+from hrl_escape.data.played_data import PlayedData
 from hrl_escape.errors import MissingExtraError, UnsupportedError
 from hrl_escape.files import atomic_writer
-
-if TYPE_CHECKING:
-    from hrl_escape.data.played import PlayedData
 
 MINARI_FOLDER = "MINARI_DATASETS_PATH"
 """Environment variable with Minari's folder of data sets."""
@@ -83,8 +81,6 @@ def to_minari(data: DataSet | PlayedData, namespace: str = "hrl_escape", folder:
             module.
     """
     minari = import_minari()
-    from hrl_escape.data.played import PlayedData
-
     with using_minari_folder(folder):
         if isinstance(data, PlayedData):
             return tuple(_write_play(minari, data, level, namespace) for level in ("primitives", "decisions")

@@ -25,13 +25,12 @@ from numpy.typing import NDArray
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
+from hrl_escape.notebook import make_caption, make_html_table
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
 from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice, read_termination
-from hrl_escape.notebook import make_caption, make_html_table
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningSummary
 from hrl_escape.spaces import PointingDiscrete
-
 
 _SPECS = "hrl_escape.agents.training.env_description:find_spec"
 """Describes environments, which options do not know; imported when a spec is asked for."""
@@ -189,9 +188,10 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
                  "option" if number >= self.primitive_count else "primitive")
                 for number, name in enumerate(self.action_names)]
         last = self.last_decision
-        words = "No episode has begun." if not last else "A new episode." if last["index"] < 0 and not last[
-            "duration"] else (f"Last decision: {last['name'] or 'idle'}, {last['duration']} primitives, {last['ended']}, "
-                              f"reward {last['summed_reward']:g}.")
+        words = "A new episode." if last else "No episode has begun."
+        if last and last["duration"]:
+            words = (f"Last decision: {last['name'] or 'idle'}, {last['duration']} primitives, {last['ended']}, "
+                     f"reward {last['summed_reward']:g}.")
         return make_caption(make_html_table(("action", "name", "legal", "kind"), rows), f"{self}. {words}")
 
     @property

@@ -145,7 +145,7 @@ def test_agents_learn_from_play_directly_and_from_minari(folder):
     results = [train("smdp-fitted-q+primitives", data=each, settings=settings, eval_episodes=2, progress=False)
                for each in (data, from_minari("mine/door-key-decisions-v1"))]
     assert results[0].evaluations == results[1].evaluations
-    flat = train("behaviour-cloning", data=data, primitives=2_000, settings={"values": "table", "bins": 256}, eval_episodes=1)
+    flat = train("behaviour-cloning", data=data, primitives=2_000, settings=settings, eval_episodes=1)
     assert flat.evaluations
 
 

@@ -82,7 +82,8 @@ def test_losses_discount_by_the_durations():
 
 def make_cart(**arguments) -> OptionsEnv:
     """A cart with two options that balance for some primitives, one of them legal only while the pole leans right."""
-    options = [FunctionOption("balance", lambda seen: int(seen[2] + 0.3 * seen[3] > 0), lambda seen: abs(seen[3]) < 0.1),
+    options = [FunctionOption("balance", lambda seen: int(seen[2] + 0.3 * seen[3] > 0),
+                              lambda seen: abs(seen[3]) < 0.1),
                FunctionOption("push-right", lambda seen: 1, lambda seen: seen[2] < 0, lambda seen: seen[2] >= 0)]
     return OptionsEnv(gymnasium.make("CartPole-v1"), options, discount=0.9, **arguments)
 
