@@ -5,10 +5,12 @@ every decision. Here a script plays MiniGrid's DoorKey with three options. Minar
 learns from them.
 """
 
+import os
 import tempfile
 from collections import deque
 
 import gymnasium
+import minari
 import numpy as np
 from gymnasium.wrappers import FlattenObservation
 from minigrid.core.constants import OBJECT_TO_IDX
@@ -100,16 +102,16 @@ print("decisions of each episode:", np.bincount(played.decisions.trajectory).tol
 # Minari keeps two sets: the decisions, with durations, discounts and legal actions among the infos, and the primitives
 # inside them. Each holds a description of its environment with its options.
 
-folder = tempfile.mkdtemp()
-for dataset in to_minari(played, namespace="mine", folder=folder):
+os.environ["MINARI_DATASETS_PATH"] = tempfile.mkdtemp()  # leave this out for Minari's own folder
+for dataset in to_minari(played, namespace="mine"):
     print(f"{dataset.spec.dataset_id}: {dataset.total_episodes} episodes, {dataset.total_steps} steps")
-again = dataset.recover_environment()
+again = minari.load_dataset("mine/door-key-decisions-v1").recover_environment()
 print("actions of the recovered environment:", ", ".join(again.get_wrapper_attr("action_names")[-3:]))
 
 # `from_minari` reads a set for agents that learn offline. Fitted Q-iteration combines the best decisions of all
 # episodes. `bins=256` keeps the codes of MiniGrid's cells apart. The tests begin in other grids than the episodes.
 
-data = from_minari("mine/door-key-decisions-v1", folder=folder)
+data = from_minari("mine/door-key-decisions-v1")
 result = train("smdp-fitted-q+primitives", data=data, settings={"values": "table", "bins": 256, "gamma": 0.95},
                eval_episodes=20, seed=1)
 chance = train("random-options+primitives", env, primitives=1, eval_episodes=20)
