@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.making import make_agent
+from hrl_escape.agents.registry import RANDOM_OPTIONS
 from hrl_escape.agents.spec import ORACLE, SEARCH_NEAREST, AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.benchmark.agent_env import find_starts, make_agent_env, make_player
@@ -30,10 +31,9 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.figures import Pictured
 
-RANDOM_OPTIONS = "random-options"
 MOST_STATES = 20_000
 """States of a room up to which its random walk is solved."""
-ROUNDING = 6
+POSE_DECIMALS = 6
 """Decimals of metres and radians that distinguish two poses."""
 
 
@@ -231,8 +231,8 @@ def _explore(rules: Kinematics, most: int) -> tuple[NDArray[np.int64], NDArray[n
     states: list[RoomState] = []
 
     def number(state: RoomState) -> int:
-        pose = (round(state.x, ROUNDING), round(state.y, ROUNDING), state.heading_steps,
-                round(state.heading_offset, ROUNDING), state.joint_steps)
+        pose = (round(state.x, POSE_DECIMALS), round(state.y, POSE_DECIMALS), state.heading_steps,
+                round(state.heading_offset, POSE_DECIMALS), state.joint_steps)
         key = (*pose, state.puzzle, state.touching)
         if key not in numbers:
             numbers[key] = len(states)

@@ -23,7 +23,7 @@ from hrl_escape.notebook import mark_labels
 
 MOST_LABELS = 4
 """Largest number of agents in a headline."""
-MARKS = {"headline": "", "finding": "- ", "caution": "! "}
+SENTENCE_MARKS = {"headline": "", "finding": "- ", "caution": "! "}
 """Marks before the kinds of sentences, in text."""
 SETTLED = 0.9
 """Smallest success rate of agents whose primitives of an escape are compared."""
@@ -41,7 +41,7 @@ class Verdict(list[Sentence]):
     """Sentences of a verdict: one headline, then findings, then cautions. Notebooks show them as a list."""
 
     def __repr__(self) -> str:
-        return "\n".join(f"{MARKS[each.kind]}{each.text}" for each in self)
+        return "\n".join(f"{SENTENCE_MARKS[each.kind]}{each.text}" for each in self)
 
     def _repr_html_(self) -> str:
         head, *others = (mark_labels(each.text) for each in self)
