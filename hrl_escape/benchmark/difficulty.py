@@ -31,7 +31,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.figures import Pictured
 
-MOST_STATES = 20_000
+MOST_WALK_STATES = 20_000
 """States of a room up to which its random walk is solved."""
 POSE_DECIMALS = 6
 """Decimals of metres and radians that distinguish two poses."""
@@ -71,7 +71,7 @@ class Difficulty(Pictured):
     oracle: float | None  # mean primitives of the best known escape, or None if none is known
     random_options: BaselineResult | None  # random legal options, or None if they cannot run
     search: BaselineResult | None  # the search baseline `search-nearest`, or None for puzzles that it cannot read
-    random_walk: RandomWalk | None  # random primitives, or None with chance, physics or more than `MOST_STATES` states
+    random_walk: RandomWalk | None  # random primitives, or None with chance, physics or more than `MOST_WALK_STATES` states
 
     _picture = "hrl_escape.benchmark.difficulty:draw_difficulty"
 
@@ -185,7 +185,7 @@ def _run_baseline(name: str, room: RoomInstance, scale: ScoreRange | None, episo
 # --- the random walk ---------------------------------------------------------------------
 
 
-def solve_random_walk(room: RoomInstance, most: int = MOST_STATES) -> RandomWalk | None:
+def solve_random_walk(room: RoomInstance, most: int = MOST_WALK_STATES) -> RandomWalk | None:
     """Solve the walk of uniformly random primitives from the room's starts.
 
     Args:

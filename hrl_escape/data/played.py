@@ -25,9 +25,9 @@ from hrl_escape.errors import ActionError, ConfigError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.step_info import ENDINGS, is_discount, read_duration, read_option, read_payment
 
-Choice: TypeAlias = int | str | None
+PlayedChoice: TypeAlias = int | str | None
 """Number or name of an action, or None to end the recording."""
-ChoiceRule: TypeAlias = Callable[[Any, Mapping[str, Any]], Choice]
+ChoiceRule: TypeAlias = Callable[[Any, Mapping[str, Any]], PlayedChoice]
 """(observation, info) -> choice of the next decision."""
 
 
@@ -174,7 +174,7 @@ class _Question:
     def __init__(self, env: gymnasium.Env) -> None:
         self._env, self._names = env, _list_names(env)
 
-    def __call__(self, observation: Any, info: Mapping[str, Any]) -> Choice:
+    def __call__(self, observation: Any, info: Mapping[str, Any]) -> PlayedChoice:
         picture = self._env.render() if self._env.render_mode is not None else None
         print(picture if isinstance(picture, str) else observation)
         mask = info.get("action_mask")
