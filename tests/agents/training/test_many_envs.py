@@ -25,9 +25,9 @@ from tests.agents.training.test_resuming import flatten
 
 GAMMA, ACTIONS = 0.9, 3
 CPU = torch.device("cpu")
-SMALL = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}
-SMALL_DQN = {"hidden": (8,), "batch_size": 8, "warmup": 20, "replay_capacity": 100, "stream_replay": 8}
-SMALL_A2OC = {"hidden": (8,), "rollout": 64, "stream_rollout": 4}
+SMALL = {"hidden": (8,), "rollout": 64, "rollout_per_env": 4, "epochs": 2, "batch_size": 16}
+SMALL_DQN = {"hidden": (8,), "batch_size": 8, "warmup": 20, "replay_capacity": 100, "replay_per_env": 8}
+SMALL_A2OC = {"hidden": (8,), "rollout": 64, "rollout_per_env": 4}
 SETTINGS = {**dict.fromkeys(("ppo", "dac", "ppoc", "diayn"), SMALL),
             **dict.fromkeys(("dqn", "sarsa"), SMALL_DQN), "rainbow": SMALL_DQN | {"noise": 0.5},
             "ddpg": SMALL_DQN | {"actor_warmup": 20}, "a2oc": SMALL_A2OC, "q-learning": {}, "r-max": {"visits": 2}}
