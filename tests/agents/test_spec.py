@@ -58,6 +58,7 @@ VALUES = st.one_of(st.booleans(), st.integers(-10**6, 10**6), st.floats(allow_na
                    st.lists(st.integers(0, 99), max_size=3))
 
 
+@pytest.mark.nightly
 @given(name=st.sampled_from(NAMES_OF_LEARNERS), over_options=st.booleans(), settings=st.dictionaries(
     st.sampled_from(["gamma", "hidden", "network", "memory", "max_parents"]), VALUES), recipe=st.sampled_from(
         ["default", "patient", "keras-rl-2019"]), low_level=st.sampled_from([None, "planned", "learned"]),

@@ -202,6 +202,7 @@ def test_what_is_remembered_is_part_of_a_checkpoint():
     assert now.any() and (again == now).all()
 
 
+@pytest.mark.nightly
 def test_streams_that_all_end_at_once_choose_nothing_for_a_step():
     room = dataclasses.replace(get_preset("paper-two-button"), horizon=20)
     rooms = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=4, config=room, output="torch")
