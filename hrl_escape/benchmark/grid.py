@@ -1,4 +1,4 @@
-"""Grids: agents, rooms or an environment, and training seeds of a comparison, as frozen settings that can be read from TOML.
+"""Grids: agents, rooms or an environment, and training seeds of a comparison, as settings that TOML can hold.
 
 All agents have the same rooms, seeds and evaluation episodes (a paired design). `execution.py` executes one run,
 `launching` all of them.

@@ -111,7 +111,9 @@ class RunResult:
 
 
 def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange | None) -> float:
-    return math.nan if score_range is None else compute_mean_efficiency(evaluation.escaped, evaluation.lengths, score_range.fewest,
+    if score_range is None:
+        return math.nan
+    return compute_mean_efficiency(evaluation.escaped, evaluation.lengths, score_range.fewest,
                                    score_range.is_expected)
 
 

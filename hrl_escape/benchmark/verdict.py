@@ -75,12 +75,14 @@ def _write_headline(summary: Summary) -> str:
     level = [agent for agent in others if not _beats(summary, leader, agent) and agent not in tied]
     if not level and len(tied) == 1:
         learners = any(agent.spec.learns for agent in others)
-        return (f"`{leader.label}` is best: it {_describe_end(summary, leader)}." if leader.spec.learns or not learners else
-                f"No learner matches `{leader.label}`, which {_describe_end(summary, leader)}.")
+        end = _describe_end(summary, leader)
+        return (f"`{leader.label}` is best: it {end}." if leader.spec.learns or not learners else
+                f"No learner matches `{leader.label}`, which {end}.")
     if len(tied) == 1:
         return (f"No significant difference between {_join_labels([leader, *level])}; the first "
                 f"{_describe_end(summary, leader)}.")
-    tie = f"{_join_labels(tied)} tie at {_get_article(measure)} {measure.name} of {measure.format(leader.primary.value)}"
+    tie = (f"{_join_labels(tied)} tie at {_get_article(measure)} {measure.name} of "
+           f"{measure.format(leader.primary.value)}")
     return f"{tie}, with no significant difference from {_join_labels(level)}." if level else (
         f"{tie}: `{leader.label}` {_describe_end(summary, leader)}.")
 
@@ -151,12 +153,13 @@ def _compare_views(summary: Summary) -> list[str]:
         return [f"Without options no agent {_get_verb(summary)}s: {names} never "
                 f"{'does' if len(flat) == 1 else 'do'} within "
                 f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_end(summary, best)}."]
+    with_options, without = _describe_end(summary, best), _describe_end(summary, best_flat)
     if _beats(summary, best, best_flat):
-        return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {_describe_end(summary, best)}, the "
-                f"second {_describe_end(summary, best_flat)}."]
+        return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {with_options}, the second "
+                f"{without}."]
     if _beats(summary, best_flat, best):
-        return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first "
-                f"{_describe_end(summary, best_flat)}, the second {_describe_end(summary, best)}."]
+        return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first {without}, the "
+                f"second {with_options}."]
     return [f"With options against without: {_describe_even(summary, best, best_flat)}."]
 
 
@@ -187,7 +190,8 @@ def _compare_with_random(summary: Summary) -> list[str]:
             adds = "Learning adds to it: " if searches and _beats(summary, best, find_leader(searches)) else ""
             sentences.append(f"{start} {adds}`{best.label}` {gain}.")
         elif _beats(summary, baseline, best):
-            sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_end(summary, best)}.")
+            sentences.append(f"{start} No learner matches it: the best, `{best.label}`, "
+                             f"{_describe_end(summary, best)}.")
         else:
             sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, baseline)}.")
         worse = [agent for agent in learners if agent is not best and _beats(summary, baseline, agent)]
@@ -211,8 +215,8 @@ def _compare_with_search(summary: Summary) -> list[str]:
     best, baseline = find_leader(learners), find_leader(baselines)
     rule = references.describe_rule(baseline.spec.name)
     name = "search baseline" if len(baselines) == 1 else "best search baseline"
-    start = (f"The {name}, `{baseline.label}`, {_describe_end(summary, baseline)}. It {rule}, and forgets everything after "
-             "an episode")
+    start = (f"The {name}, `{baseline.label}`, {_describe_end(summary, baseline)}. It {rule}, and forgets everything "
+             "after an episode")
     if _beats(summary, best, baseline):
         return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
     if _beats(summary, baseline, best):
@@ -239,9 +243,9 @@ def _describe_speed(summary: Summary) -> list[str]:
 def _describe_gap(summary: Summary) -> list[str]:
     leader = find_leader(summary.agents)
     if summary.grid.env is not None:
-        reference = summary.grid.env.reference
+        reference, reached = summary.grid.env.reference, RETURN.describe(leader.returns)
         return [] if reference is None else [
-            f"The reference return is {RETURN.format(reference)}; `{leader.label}` has {RETURN.describe(leader.returns)}."]
+            f"The reference return is {RETURN.format(reference)}; `{leader.label}` has {reached}."]
     missing = sum(leader.gap)
     if missing <= 0.0005:
         return [f"`{leader.label}` is as efficient as the best known escape."]
@@ -308,8 +312,8 @@ def _write_cautions(summary: Summary) -> list[str]:
         cautions.append(f"{count_things(grid.runs, 'run').capitalize()}{_get_place(summary)}: with {more} the same "
                         "command continues these runs, to a verdict.")
     if grid.env is not None:
-        cautions.append(f"Intervals and tests are over training seeds in {summary.rooms[0].name} alone. They say nothing about "
-                        "other environments.")
+        cautions.append(f"Intervals and tests are over training seeds in {summary.rooms[0].name} alone. They say "
+                        "nothing about other environments.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     covered = [_get_choices(agent) for agent in summary.agents
@@ -319,7 +323,8 @@ def _write_cautions(summary: Summary) -> list[str]:
         brought = "the options' planners" if grid.env is None else "the options"
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         f"the score that {brought} bring is unknown.")
-    if grid.env is None and learners and not any(agent.spec.name in references.SEARCH_METHODS for agent in summary.agents):
+    has_search = any(agent.spec.name in references.SEARCH_METHODS for agent in summary.agents)
+    if grid.env is None and learners and not has_search:
         cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
                         "without learning is unknown.")
     for room in summary.rooms:

@@ -128,8 +128,8 @@ def _make_room_table(summary: Summary) -> list[str]:
 
 def _make_env_table(summary: Summary) -> list[str]:
     grid, columns = summary.grid, list_env_columns(summary)
-    return [f"After {grid.primitives:,} primitives in {summary.rooms[0].name}, {grid.runs} runs. Returns are means over "
-            "the last fifth of training.", "",
+    return [f"After {grid.primitives:,} primitives in {summary.rooms[0].name}, {grid.runs} runs. Returns are means "
+            "over the last fifth of training.", "",
             f"| agent | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|",
             *(f"| {agent.label} | {' | '.join(list_env_values(summary, agent))} |" for agent in summary.agents)]
 
@@ -300,7 +300,8 @@ def describe_kind(spec: AgentSpec) -> str:
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"
         actions += ", with ancestors" if spec.options.option_set == "press-with-ancestors" else ""
-    kind = "trained before, " if spec.is_frozen else "reference, " if spec.is_reference else "" if spec.learns else "random policy, "
+    fixed = "trained before, " if spec.is_frozen else "reference, "
+    kind = fixed if spec.is_reference else "" if spec.learns else "random policy, "
     return kind + actions + (f", settings {spec.recipe}" if spec.recipe != DEFAULT_RECIPE else "")
 
 
