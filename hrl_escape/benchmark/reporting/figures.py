@@ -19,7 +19,7 @@ from hrl_escape.benchmark.rung_references import RungReferences
 from hrl_escape.benchmark.summary import Summary, summarise
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.maps import make_map
-from hrl_escape.figures import STYLE, save_figure
+from hrl_escape.figures import STYLE, get_figure_class, save_figure
 from hrl_escape.sets.manifest import AxisRecord
 
 GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
@@ -131,7 +131,7 @@ def draw_profile(summary: Summary) -> Figure:
 
 
 def _make_axes(x: str, y: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.2, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+    figure = get_figure_class()(figsize=(7.2, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
     axes = figure.add_subplot()
     axes.set_xlabel(x, color=palette.INK)
     axes.set_ylabel(y, color=palette.INK)
