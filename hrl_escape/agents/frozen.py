@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, DiscountSettings, FixedPolicy
 from hrl_escape.errors import AgentSettingsError
 
-Choose = Callable[[Any, NDArray[np.bool_]], Any]
+ChooseAction = Callable[[Any, NDArray[np.bool_]], Any]
 """(observation, action mask) -> action."""
 
 
@@ -68,7 +68,7 @@ class _FrozenPlayer(FixedPolicy):
         return self._agent.act(observation, action_mask)
 
 
-def _read_policy(policy: Any) -> Choose:
+def _read_policy(policy: Any) -> ChooseAction:
     if hasattr(policy, "predict"):
         return lambda observation, action_mask: policy.predict(observation, deterministic=True)[0]
     if not callable(policy):

@@ -33,7 +33,7 @@ from hrl_escape.settings import Range
 if TYPE_CHECKING:
     from hrl_escape.agents.spec import AgentSpec
 
-LIBRARIES = ("stable_baselines3", "sb3_contrib")
+PACKAGES = ("stable_baselines3", "sb3_contrib")
 """Packages whose algorithms are known by name."""
 
 
@@ -71,7 +71,7 @@ def SB3Agent(algorithm: Any, policy: str = "", *, over_options: bool = False, la
 
     if not (isinstance(algorithm, type) and hasattr(algorithm, "learn") and hasattr(algorithm, "predict")):
         raise AgentSettingsError("algorithm", algorithm, "a class of Stable-Baselines3, such as PPO")
-    is_known = algorithm.__module__.partition(".")[0] in LIBRARIES
+    is_known = algorithm.__module__.partition(".")[0] in PACKAGES
     place = algorithm.__name__ if is_known else f"{algorithm.__module__}:{algorithm.__qualname__}"
     given = {"algorithm": place, "policy": policy, "gamma": gamma, "arguments": arguments}
     default = SB3Settings()
@@ -218,7 +218,7 @@ def find_algorithm(place: str) -> Callable[..., Any]:
     """Return the class of an algorithm.
 
     Args:
-        place: name in one of `LIBRARIES`, or `module:name`.
+        place: name in one of `PACKAGES`, or `module:name`.
 
     Raises:
         MissingExtraError: Stable-Baselines3 is not installed.
@@ -229,11 +229,11 @@ def find_algorithm(place: str) -> Callable[..., Any]:
             return resolve_name(place)
         except (ImportError, AttributeError, ValueError) as error:
             raise AgentSettingsError("algorithm", place, f"a class that can be imported ({error})") from error
-    for library in LIBRARIES:
+    for library in PACKAGES:
         try:
             found = getattr(import_module(library), place, None)
         except ImportError as error:
-            if library == LIBRARIES[0]:
+            if library == PACKAGES[0]:
                 raise MissingExtraError("stable-baselines3", "bench", "the agent sb3") from error
             continue
         if found is not None:

@@ -32,7 +32,7 @@ from hrl_escape.files import read_text, write_json
 from hrl_escape.names import join_words
 from hrl_escape.settings import Settings
 
-VALID = "a Gymnasium id such as CartPole-v1, a function that makes an environment, file.py:function or module:function"
+VALID_ENVS = "a Gymnasium id such as CartPole-v1, a function that makes an environment, file.py:function or module:function"
 _VERSION = re.compile(r".*-v\d+")
 _given: dict[str, Any] = {}
 """Functions and options that were given in this process and cannot be imported, by their text."""
@@ -72,13 +72,13 @@ class EnvSpec(Settings):
             raise GridError(f"env is an environment, {env}: give a function that makes it, so that every run has its "
                             "own, such as lambda: gymnasium.make('CartPole-v1')")
         if not isinstance(env, str) and not callable(env):
-            raise GridError(f"env = {env!r} is not possible: give {VALID}")
+            raise GridError(f"env = {env!r} is not possible: give {VALID_ENVS}")
         return cls(_name_part(env), "" if options is None else _name_part(options), **fields)
 
     def check(self) -> None:
         """Require an environment."""
         if not self.env:
-            raise GridError(f"an environment is missing: give {VALID}")
+            raise GridError(f"an environment is missing: give {VALID_ENVS}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         given = {text: _given[text] for text in (self.env, self.options) if text in _given}

@@ -49,7 +49,7 @@ FinishedRun: TypeAlias = tuple[GridRun, RunResult]
 
 CURVE_METRICS = ("efficiency", "progress", "success", "length", "score")
 """Metrics of curves in rooms. Elsewhere they are `return`, `length`, and `success` and `progress` if reported."""
-UNKNOWN = Estimate(math.nan, math.nan, math.nan)
+UNDEFINED = Estimate(math.nan, math.nan, math.nan)
 """Estimate of what an environment does not define."""
 CURVE_POINTS = 41
 CURVE_RESAMPLES = 500
@@ -311,7 +311,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun], measur
     seen = [np.array([result.seen_efficiency for result in room if result.seen_efficiency is not None])
             for room in occupied]
     filled, main = iter(efficiencies), iter(primaries)
-    successes = UNKNOWN if math.isnan(success) else Estimate(success, *compute_wilson_interval(success, len(results)))
+    successes = UNDEFINED if math.isnan(success) else Estimate(success, *compute_wilson_interval(success, len(results)))
     final_return = _estimate(compute_mean, collect(lambda result: result.get_final("mean_return")), None)
     lengths = _get_length_bounds(comparison)
     return AgentSummary(
@@ -327,7 +327,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun], measur
                      for number in range(min(len(result.trials) for result in results))),
         progress=describe("mean_progress", compute_mean),
         success=successes,
-        first_escape=UNKNOWN if math.isnan(success) else _estimate(compute_mean, first, (0.0, float(budget))),
+        first_escape=UNDEFINED if math.isnan(success) else _estimate(compute_mean, first, (0.0, float(budget))),
         escaped_runs=sum(result.first_escape is not None for result in results),
         length=describe("mean_length", bounds=lengths),
         score=_estimate(compute_iqm, returns, (min(0.0, *map(np.min, returns)), max(1.0, *map(np.max, returns)))),
@@ -359,7 +359,7 @@ def _make_rng() -> np.random.Generator:
 def _estimate(statistic: Statistic, scores: Sequence[Floats], bounds: tuple[float, float] | None = UNIT) -> Estimate:
     """Estimate a statistic of runs; without bounds of the scores the mean with Student's t interval."""
     if any(np.isnan(room).any() for room in scores):
-        return UNKNOWN
+        return UNDEFINED
     if bounds is None:
         return Estimate(*map(float, compute_mean_interval(np.concatenate(scores))))
     low, high = compute_interval(statistic, scores, bounds, _make_rng())
