@@ -32,7 +32,8 @@ from hrl_escape.files import read_text, write_json
 from hrl_escape.names import join_words
 from hrl_escape.settings import Settings
 
-VALID_ENVS = "a Gymnasium id such as CartPole-v1, a function that makes an environment, file.py:function or module:function"
+VALID_ENVS = ("a Gymnasium id such as CartPole-v1, a function that makes an environment, file.py:function or "
+              "module:function")
 _VERSION = re.compile(r".*-v\d+")
 _given: dict[str, Any] = {}
 """Functions and options that were given in this process and cannot be imported, by their text."""

@@ -34,7 +34,7 @@ const METRICS = {
   success: { title: data.has_rooms ? "episodes that escape" : "episodes that succeed", source: "success", yRange: [0, 1], format: percent,
     note: `Share of evaluation episodes that end in ${data.has_rooms ? "an escape" : "success"}.` },
   length: { title: "primitives an episode", source: "length", yLog: true, yReverse: true,
-    note: "Primitives an evaluation episode takes, escaped or not, on a logarithmic scale: higher is shorter." },
+    note: "Primitives an evaluation episode takes, successful or not, on a logarithmic scale: higher is shorter." },
 };
 const AXES = { primitives: "primitives of training", decisions: "decisions of training", seconds: "seconds of training" };
 const getMetric = pick("metric", drawCurves), getAgainst = pick("against", drawCurves), getRoom = pick("room", drawCurves);
