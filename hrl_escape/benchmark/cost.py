@@ -64,7 +64,7 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
 def describe_cost(grid: Grid, places: Iterable[RunPlace | EnvPlace]) -> str:
     """Describe the estimated core time of a grid for the console."""
     if grid.env is not None:
-        return f"no rate is published for {make_console_text(grid.env.name)}"
+        return "no rate is published for " + ", ".join(make_console_text(place.name) for place in places)
     if not any(agent.learns for agent in grid.agents):
         return "no agent is trained"
     buttons = [_count_at(place) for place in places if isinstance(place, RunPlace)]
