@@ -52,7 +52,7 @@ result = compare(["dqn", "ppo", SB3Agent(PPO, n_steps=256), RandomSearch, lean],
 result
 
 # Three seeds give estimates and intervals and no verdict. With `seeds=10` and `out=` a folder, the same call continues
-# and has one. The runs can also be drawn against time or decisions.
+# and has one. The budget is small, so that the page builds quickly: take 50,000 primitives before you judge a learner.
 
 for agent in result.summary.agents:
     print(f"{agent.label}: return {agent.returns:.0f}, {agent.length.value:.0f} primitives an episode")
