@@ -50,7 +50,7 @@ def cut(count: int, steps: int, batch: int = 64) -> dict[str, Any]:
     The step size grows with the root of the minibatch.
     """
     rollout = max(2048, steps * count)
-    return {"stream_rollout": max(1, rollout // count), "rollout": rollout, "batch_size": batch,
+    return {"rollout_per_env": max(1, rollout // count), "rollout": rollout, "batch_size": batch,
             "learning_rate": 1e-3 * math.sqrt(batch / 64)}
 
 

@@ -83,9 +83,9 @@ TASKS = {
 }
 VARIANTS: dict[str, Callable[[int], dict[str, Any]]] = {
     "defaults": lambda count: {},
-    "short rollouts": lambda count: {"stream_rollout": max(1, LONGEST // count)},
+    "short rollouts": lambda count: {"rollout_per_env": max(1, LONGEST // count)},
     "small minibatches": lambda count: {"rollout": 32 * count},
-    "both": lambda count: {"stream_rollout": max(1, LONGEST // count), "rollout": LONGEST},
+    "both": lambda count: {"rollout_per_env": max(1, LONGEST // count), "rollout": LONGEST},
 }
 """Settings for a number of environments; a minibatch is of 64 decisions where a rollout has no more than `rollout`."""
 

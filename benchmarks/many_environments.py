@@ -30,7 +30,7 @@ import torch
 
 import hrl_escape  # noqa: F401  # registers the rooms
 from hrl_escape.agents import train
-from hrl_escape.options.memory import MemoryStreams
+from hrl_escape.options.memory import VectorDecisionMemory
 
 RATES = "hrl_escape/PaperTwoButton-v1"
 CHOOSING = ("PaperTwoButton", "ArmTwoButton")
@@ -84,8 +84,8 @@ def measure_decisions(contender: str, count: int, room: str, budget: int, device
     observation, settings = DECIDED[contender]
     env: Any = gymnasium.make_vec(f"hrl_escape/{room}Options-v1", num_envs=count, output="torch", device=device,
                                   observation=observation, include_primitives=False, compile=count >= 256)
-    streams = env.unwrapped.get_streams()
-    streams = MemoryStreams(streams) if observation == "objects" else streams
+    streams = env.unwrapped.get_many_envs()
+    streams = VectorDecisionMemory(streams) if observation == "objects" else streams
 
     def run(primitives: int) -> tuple[int, int]:
         done = train("smdp-ppo", streams, primitives=primitives, eval_episodes=0, progress=False,
@@ -123,7 +123,7 @@ def measure_options(contender: str, count: int, room: str, quick: bool, device: 
             *_, info = env.step(torch.multinomial(info["action_mask"].float(), 1).squeeze(1))
         return _tell_rates(count * (steps // 5), started, clock)
     streams: Any = env.unwrapped
-    streams, ended = streams.get_streams(), 0
+    streams, ended = streams.get_many_envs(), 0
     streams.reset(0)
     for _ in range(2):  # kernels are compiled or loaded
         streams.step(torch.multinomial(streams.action_mask.float(), 1).squeeze(1))

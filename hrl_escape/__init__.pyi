@@ -1,5 +1,7 @@
 from .agents.making import make_agent
+from .agents.training.plots import plot_runs
 from .agents.training.train import train
+from .benchmark.compare import compare
 from .benchmark.pretrained import load_pretrained
 from .env.config import RoomConfig
 from .env.escape_room import EscapeRoomEnv
@@ -20,6 +22,7 @@ __all__ = [
     "RoomInstance",
     "RoomPlanner",
     "__version__",
+    "compare",
     "generate",
     "get_preset",
     "load_pretrained",
@@ -27,5 +30,6 @@ __all__ = [
     "make_env",
     "make_room",
     "make_vec",
+    "plot_runs",
     "train",
 ]

@@ -40,6 +40,7 @@ class Registry(Generic[PartType]):
         self._shape, self._accepts = shape, accepts
         self._shipped = dict(shipped or {})
         self._parts: dict[str, PartType] = {}
+        self._given: set[str] = set()
 
     def register(self, name: str, part: PartType) -> None:
         """Register a part under a name. Registering the same part again has no effect.
@@ -52,10 +53,12 @@ class Registry(Generic[PartType]):
         if name in self._shipped or self._parts.get(name, part) != part:
             raise ConfigError(f"{self.kind}.name", name, f"a name that no other {self.kind} has")
         self._parts[name] = part
+        self._given.add(name)
 
     def unregister(self, name: str) -> None:
         """Remove a part added by `register`; unknown names are ignored."""
         self._parts.pop(name, None)
+        self._given.discard(name)
 
     def get(self, name: Any) -> PartType:
         """Return a part by name.
@@ -78,6 +81,10 @@ class Registry(Generic[PartType]):
             part = self._load(point)
         self._parts[name] = part
         return part
+
+    def find_given(self, name: str) -> PartType | None:
+        """Return the part that `register` added under a name, or None for parts from elsewhere and unknown names."""
+        return self._parts.get(name) if name in self._given else None
 
     def names(self) -> tuple[str, ...]:
         """Return all names: shipped and registered ones, then entry points, without loading them."""

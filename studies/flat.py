@@ -391,10 +391,10 @@ def count_untrained(learner: FlatLearner) -> int:
     A decision takes all its repeats until an episode ends, so that first escapes up to here are the untrained policy's.
     """
     recipe: Any = None if learner.agent == ARCHIVE or not learner.streams else get_recipe(learner.agent)
-    if not hasattr(recipe, "stream_rollout"):
+    if not hasattr(recipe, "rollout_per_env"):
         return 0
     settings: Any = replace_settings(recipe, learner.settings)
-    return max(settings.rollout, settings.stream_rollout * learner.streams) * learner.repeat
+    return max(settings.rollout, settings.rollout_per_env * learner.streams) * learner.repeat
 
 
 def list_learners(study: Study, args: FlatArgs) -> list[FlatLearner]:

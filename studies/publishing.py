@@ -166,10 +166,10 @@ def check_form(text: str, claims: Iterable[str]) -> list[str]:
     """Departures of a page from the common form: parts in order, a short finding, claims where claims belong."""
     found = re.match(r"# [^\n]+\n\n\*\*(?P<finding>[^*]+)\*\*\n\n!\[[^\]]+\]\(figures/\S+\)\n(?:\n[^\n]+\n)?\n"
                      r"\*\*Takeaway\.\*\* (?P<takeaway>[^\n]+)\n\n## Setup\n\n(?P<setup>(?:- [^\n]+\n)+)\n"
-                     r"## Limits\n\n(?:- [^\n]+\n)+\n(?:.*\n)?<details>", text, re.DOTALL)
+                     r"Terms: [^\n]+\n\n## Limits\n\n(?:- [^\n]+\n)+\n(?:.*\n)?<details>", text, re.DOTALL)
     if not found:
         return ["the page is not in the order title, finding in bold, figure (and a caption), **Takeaway.**, ## Setup "
-                "(a list), ## Limits (a list), <details>"]
+                "(a list), Terms: (a line with links to the glossary), ## Limits (a list), <details>"]
     failures, guarded = [], " ".join(claims)
     finding, takeaway = found["finding"], found["takeaway"]
     if len(finding.split()) > LONGEST_FINDING:

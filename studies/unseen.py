@@ -21,7 +21,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
-from hrl_escape.options.memory import MemoryStreams
+from hrl_escape.options.memory import VectorDecisionMemory
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
@@ -30,7 +30,7 @@ __all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams
            "play_agent", "play_unseen", "stream_rooms", "train_agent"]
 
 
-Streams: TypeAlias = EscapeRoomVectorEnv | BatchedOptionsEnv | MemoryStreams
+Streams: TypeAlias = EscapeRoomVectorEnv | BatchedOptionsEnv | VectorDecisionMemory
 """Many rooms at once."""
 
 
@@ -88,7 +88,7 @@ def stream_rooms(rooms: InstanceSet, count: int, agent: str, observation: str = 
     if not has_memory:
         return many
     assert isinstance(many, BatchedOptionsEnv)  # as who remembers decisions chooses options
-    return MemoryStreams(many)
+    return VectorDecisionMemory(many)
 
 
 def train_agent(spec: AgentSpec, train_in: gymnasium.Env | Streams, primitives: int, seed: int

@@ -45,6 +45,9 @@ LESSONS = [
     ("tools_trl.py", [], [r"You drive a robot", r"over: escaped", r"reward (0\.[5-9]\d|1\.00)"]),
     ("tools_balrog.py", [], [r"The puzzle: ", r"over: escaped", r"'progression': 1\.0, 'failed_candidates': \['ask"]),
     ("tools_openenv.py", [], [r"OpenEnv is not installed|escaped\. \d+\.0 True"]),
+    ("compare_with_sb3.py", ["--primitives", "600", "--seeds", "1", "--out", "out"],
+     [r"PPO of SB3: efficiency \d\.\d\d", r"PPO over options: efficiency \d\.\d\d .*decisions",
+      r"curve: out/curve\.svg, report: out/report\.html"]),
     ("own_comparison.py", ["--primitives", "2", "--runs", "1", "--out", "out"],
      [r"headline: ", r"caution: One run a room", r"report: out/report.html"]),
 ]

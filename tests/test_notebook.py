@@ -90,7 +90,8 @@ def test_a_result_draws_its_curve():
     assert line.get_xydata().tolist() == [[e.decisions, e.success_rate] for e in result.evaluations]
     assert count_shapes(result._repr_svg_()) > 5
     together = result.plot(beside=[result])
-    assert len(together.axes[0].lines) == 2 and count_shapes(together._repr_svg_()) > 5  # type: ignore[attr-defined]
+    assert len(together.axes[0].lines) == len(together.axes[0].collections) == 1  # equal agents: a line and a band
+    assert count_shapes(together._repr_svg_()) > 5  # type: ignore[attr-defined]
 
 
 @pytest.mark.nightly

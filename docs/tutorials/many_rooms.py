@@ -11,7 +11,7 @@ import torch
 from hrl_escape import train
 from hrl_escape.benchmark import record_episode
 from hrl_escape.figures import get_figure_class
-from hrl_escape.options import DecisionMemory, MemoryStreams
+from hrl_escape.options import DecisionMemory, VectorDecisionMemory
 from hrl_escape.sets import load_benchmark
 
 freight = load_benchmark("ladder-1")["freight"].train[:8]
@@ -42,8 +42,8 @@ def draw(bars):
 draw(decisions)
 
 # An agent reads the same values as in one room: observation, action, $R$, $k$, $\gamma^k$ and legal actions. `train`
-# takes a batch instead of an environment. `MemoryStreams` adds what each episode has tried to the rows of `objects`.
-# The rooms are 16 of a rung's training set, and each episode draws one of them.
+# takes a batch instead of an environment. `VectorDecisionMemory` adds what each episode has tried to the rows of
+# `objects`. The rooms are 16 of a rung's training set, and each episode draws one of them.
 
 pair = load_benchmark("ladder-1")["pair"]
 arguments = {"options": {"include_primitives": False}, "observation": "objects"}
@@ -51,7 +51,7 @@ rooms = pair.train[:16]
 unseen = DecisionMemory(pair.test.make_env(**arguments))
 rows = {"eval_env": unseen, "eval_every": 4_000, "progress": False}
 start = time.perf_counter()
-many = train("smdp-ppo+objects+memory", MemoryStreams(rooms.make_vec(16, **arguments, compile=False)),
+many = train("smdp-ppo+objects+memory", VectorDecisionMemory(rooms.make_vec(16, **arguments, compile=False)),
              primitives=12_000, **rows)
 print(f"16 rooms at once: {many.primitives:,} primitives in {time.perf_counter() - start:.0f} s")
 many
@@ -63,6 +63,6 @@ print(f"an unseen room: {'escaped' if episode.success else 'stuck'} after {len(e
 episode
 
 # With `compile=True`, the default, a step is one compiled kernel. Compiling takes half a minute once and pays off from
-# a few hundred rooms on. On the command line: `hrl-escape train smdp-ppo+objects+memory --batch 256`.
+# a few hundred rooms on. On the command line: `hrl-escape train smdp-ppo+objects+memory --num-envs 256`.
 # [Generalisation](../results/generalisation.md) has results for budgets of a million primitives and for transfer
 # between rungs, and [budgets](../results/budgets.md) for the budgets of the ladder.

@@ -21,7 +21,7 @@ torch.manual_seed(0)
 GAMMA, ROOMS = 0.99, 16
 env = OptionsTorchRLEnv(ROOMS, "paper-two-button", observation="features", discount=GAMMA, include_primitives=False)
 env.set_seed(0)
-env.rooms.get_streams().rooms.instances[0]
+env.rooms.get_many_envs().rooms.instances[0]
 
 # Policy, loss and replay buffer are TorchRL's own. `action_mask` excludes illegal options from choices and targets.
 

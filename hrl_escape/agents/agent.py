@@ -106,6 +106,10 @@ class Agent(Stateful, ABC):
     options."""
     needs_trace: ClassVar[bool] = False
     """True if the agent learns from `SMDPTransition.trace`; `train` then turns traces on in environments of options."""
+    is_frozen: ClassVar[bool] = False
+    """True if the agent is evaluated without training, as a `FrozenAgent` is."""
+    is_resumable: ClassVar[bool] = True
+    """False if the state between episodes cannot be saved; a stopped run then starts again."""
     is_markov: bool = False
     """True if `act_greedy` is a function of the observation and the legal actions, without randomness and memory."""
     settings: Any
@@ -170,6 +174,12 @@ class Agent(Stateful, ABC):
     def recall(self, rng: np.random.Generator) -> tuple[Any, ...] | None:
         """Return the memory of an evaluation's episode, identified by its generator, or None in a new one."""
         return self._evaluation[1:] if self._evaluation is not None and self._evaluation[0] is rng else None
+
+    def note_budget(self, primitives: int) -> None:  # noqa: B027
+        """Receive the budget of a run before its first episode; by default do nothing.
+
+        For agents whose schedules follow the length of training.
+        """
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027
         """Receive the outcome of the latest `act_greedy` with this generator in evaluation; by default do nothing.

@@ -36,9 +36,9 @@ class EndedDecisions(NamedTuple):
 class ManyEnvs(Protocol):
     """Many copies of an environment; `observation_space` and `action_space` describe a single copy.
 
-    A vector environment, whose steps wait for all, may return them from its method `get_streams`. One that can make an
-    ordinary environment of the same task, spaces and action numbers has the method `make_single_env`. One whose running
-    episodes can be saved has `state_dict` and `load_state_dict`.
+    A vector environment, whose steps wait for all, may return them from its method `get_many_envs`. One that can make
+    an ordinary environment of the same task, spaces and action numbers has the method `make_single_env`. One whose
+    running episodes can be saved has `state_dict` and `load_state_dict`.
     """
 
     count: int  # environments that step together

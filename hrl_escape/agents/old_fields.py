@@ -18,7 +18,8 @@ RENAMED = {"hrl_escape.hierarchies.hierarchy_env:HierarchyEnv": {"leaves": "low_
            "hrl_escape.sets.goals:GoalsEnv": {"escapes": "exits"},
            "hrl_escape.text.text_env:TextEnv": {"told": "reveal"}}
 """New names of arguments of environments and wrappers, by class."""
-NEW_FIELDS = {"flavour": "option_set"}
+NEW_FIELDS = {"flavour": "option_set", "stream_updates": "max_updates", "stream_replay": "replay_per_env",
+              "stream_rollout": "rollout_per_env"}
 """New names of fields of any table."""
 VALUES = {"press-markov": "press-reactive"}
 """New names of option sets."""

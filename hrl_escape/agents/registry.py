@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import re
 from collections.abc import Iterable
 from functools import cache, partial
 from pkgutil import walk_packages
@@ -36,13 +37,15 @@ SHARED_RECIPES: dict[str, dict[str, Any]] = {
 }
 """Named settings of every agent that has such settings: longer exploration and a larger replay memory; and up to three
 parents a button, for agents that learn structure."""
+_NO_NAME = re.compile(r"[\s(@+]|^smdp-|^$")
+"""Matches names that the text of a spec cannot hold."""
 HIERARCHY_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "tree")
 """Arguments of agents that take a structure, each a kind of its own."""
 
 
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists over options."""
-    return [*_list_made(), *sorted(set(agents) - _find_shipped().keys())]
+    return [*_list_made(), *sorted(set(agents) - _find_shipped().keys() - ADAPTERS.keys())]
 
 
 def list_many_env_agents() -> list[str]:
@@ -81,19 +84,42 @@ def get_agent_class(name: str) -> type[Agent]:
 
 
 def find_agent_name(agent_class: type[Agent]) -> str:
-    """Return the registered name of a class.
+    """Return the registered name of a class. A class without one is registered in this process, under its `name`.
+
+    A class that is defined again, as in a cell of a notebook that runs twice, takes the place of the earlier one.
 
     Raises:
-        AgentSettingsError: it has none; the message explains how to register it.
+        AgentSettingsError: it has abstract methods, or another agent has its name.
     """
-    found = next((name for name, module in _find_shipped().items() if module == agent_class.__module__), None)
-    found = found or next((name for name in agents if name not in _find_shipped() and agents.get(name) is agent_class),
-                          None)
-    if found is None or agents.get(found) is not agent_class:
-        raise AgentSettingsError("agent", agent_class.__name__, "an agent that has a name: register_agent('my-agent', "
-                                 f"{agent_class.__name__}) gives it one, or an entry point of the group "
-                                 "hrl_escape.agents")
-    return found
+    for name in (*_find_shipped(), *(name for name in agents if name not in _find_shipped())):
+        module = _find_shipped().get(name, agent_class.__module__)
+        if module == agent_class.__module__ and agents.get(name) is agent_class:
+            return name
+    name, missing = agent_class.name, sorted(agent_class.__abstractmethods__)
+    if missing:
+        raise AgentSettingsError("agent", agent_class.__name__, f"a class that defines {', '.join(missing)} too")
+    try:
+        inspect.signature(agent_class).bind(None, None, 0, None)
+    except TypeError:
+        raise AgentSettingsError("agent", agent_class.__name__, f"a class made as {agent_class.__name__}("
+                                 "observation_space, action_space, seed, settings), so that each run can make its own"
+                                 ) from None
+    if not hasattr(agent_class, "Settings"):
+        raise AgentSettingsError("agent", agent_class.__name__, "a class with `Settings`, the dataclass of its settings"
+                                 )
+    if (earlier := find_given_agent(name)) is not None and (earlier.__module__, earlier.__qualname__) == (
+            agent_class.__module__, agent_class.__qualname__):
+        agents.unregister(name)
+    if name in agents or _NO_NAME.search(name):
+        raise AgentSettingsError("agent", name, "a class whose `name` no other agent has, without blanks and any of "
+                                 f"(@+: register_agent('my-agent', {agent_class.__name__}) gives it another")
+    agents.register(name, agent_class)
+    return name
+
+
+def find_given_agent(name: str) -> type[Agent] | None:
+    """Return the class of a name, over options or not, that this process registered, or None for any other agent."""
+    return agents.find_given(split_name(name)[0])
 
 
 def register_agent(name: str, agent_class: type[Agent]) -> None:
@@ -213,7 +239,10 @@ def find_hierarchy_part(agent: str | type[Agent]) -> str | None:
     return next((part for part in HIERARCHY_PARTS if part in taken), None)
 
 
+ADAPTERS = {"sb3": "hrl_escape.agents.sb3:SB3Learner"}
+"""Name -> class of agents that train an algorithm of another library."""
+
 agents: Registry[type[Agent]] = Registry(
     "agent", "a class derived from hrl_escape.agents.Agent", _is_agent,
-    {name: partial(_load_shipped, module) for name, module in _find_shipped().items()})
+    {**{name: partial(_load_shipped, module) for name, module in _find_shipped().items()}, **ADAPTERS})
 """Classes of all algorithms by name."""

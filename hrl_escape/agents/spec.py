@@ -24,13 +24,16 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, Literal
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.frozen import FrozenAgent
 from hrl_escape.agents.hierarchy_kinds import LowLevel, find_kind, list_privileges
 from hrl_escape.agents.old_specs import refuse_old
 from hrl_escape.agents.registry import (
     DEFAULT_RECIPE,
     SMDP_PREFIX,
+    agents,
     check_agent_name,
     find_agent_name,
+    find_given_agent,
     get_agent_class,
     get_recipe,
     split_name,
@@ -154,7 +157,7 @@ class AgentSpec(Settings):
         object.__setattr__(self, "settings", FrozenSettings(self.settings))
         if not self.chooses_options:
             object.__setattr__(self, "options", OptionsView())
-        if self.is_reference and self.options.include_primitives:
+        if self.name in _ALONE and self.options.include_primitives:
             raise AgentSettingsError("agent", f"{self.name}+primitives",
                                      f"{self.name}, which chooses among options alone")
         if not self.label:
@@ -166,7 +169,9 @@ class AgentSpec(Settings):
 
         Args:
             agent: the text of a spec, such as `dqn`, `smdp-dqn@keras-rl-2019` or `smdp-ppo+objects+memory`; a spec;
-                or a registered agent class or an instance of one, of which only the settings are used.
+                a class derived from `Agent`; an instance of one, of which only the settings are used; or a
+                `FrozenAgent`. A class that has no registered name is registered under its `name`, so that
+                `smdp-NAME` chooses among options.
 
         Returns:
             The spec. Its named settings and settings are looked up by `resolve_settings`.
@@ -211,6 +216,8 @@ class AgentSpec(Settings):
 
     @classmethod
     def _describe(cls, agent: type[Agent] | Agent) -> AgentSpec:
+        if isinstance(agent, FrozenAgent):
+            return cls(find_agent_name(agent.player))
         kind = agent if isinstance(agent, type) else type(agent)
         if not issubclass(kind, Agent):
             raise AgentSettingsError("agent", agent, "the text of a spec, an AgentSpec, or an agent or its class")
@@ -219,6 +226,10 @@ class AgentSpec(Settings):
             return cls(name)
         chosen, default = (dataclasses.asdict(settings) for settings in (agent.settings, get_recipe(name)))  # type: ignore
         return cls(name, settings={key: value for key, value in chosen.items() if value != default[key]})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A class that only this process registered goes along, so that other processes can make the agent.
+        return _restore_spec, (type(self), dict(vars(self)), self.algorithm, find_given_agent(self.name))
 
     def __str__(self) -> str:
         words, given = self._split()
@@ -244,7 +255,7 @@ class AgentSpec(Settings):
         if self.label != str(self):
             return self.label
         words = [find_title(self.name)]
-        if self.chooses_options and not self.is_reference:
+        if self.chooses_options and self.name not in _ALONE:
             kind = {"press-with-ancestors": "options with ancestors", "press-reactive": "reactive options"}
             words.append(f"over {kind.get(self.options.option_set, 'options')}")
             words += ["and primitives"] * self.options.include_primitives
@@ -266,8 +277,14 @@ class AgentSpec(Settings):
 
     @property
     def is_reference(self) -> bool:
-        """True if the agent follows a fixed rule or calls tools: one of `REFERENCES`, or `text-agent`."""
-        return self.name in _ALONE
+        """True if the agent is not trained: one of `REFERENCES`, `text-agent`, or a `FrozenAgent`."""
+        return self.name in _ALONE or self.is_frozen
+
+    @property
+    def is_frozen(self) -> bool:
+        """True if the agent is a `FrozenAgent`."""
+        given = find_given_agent(self.name)
+        return given is not None and given.is_frozen
 
     @property
     def learns(self) -> bool:
@@ -284,7 +301,7 @@ class AgentSpec(Settings):
             find_kind(self.name, self.low_level)
         if self.name == TEXT_AGENT:
             return self._resolve_text_agent()
-        if self.is_reference:
+        if self.name in _ALONE:
             if self.settings or self.recipe != DEFAULT_RECIPE:
                 raise GridError(f"{self.label}: a reference has no settings")
             return {}
@@ -325,6 +342,14 @@ class AgentSpec(Settings):
 
 
 _PLAIN_OPTIONS = OptionsView().to_dict()
+
+
+def _restore_spec(kind: type[AgentSpec], fields: Mapping[str, Any], name: str, given: type[Agent] | None) -> AgentSpec:
+    if given is not None and find_given_agent(name) is None:
+        agents.register(name, given)
+    made = object.__new__(kind)
+    vars(made).update(fields)
+    return made
 
 
 def parse_specs(names: Iterable[str]) -> tuple[AgentSpec, ...]:

@@ -1,4 +1,6 @@
+from .compare import CompareResult, compare
 from .comparison import run_grid
+from .env_spec import EnvSpec
 from .grid import Grid
 from .pretrained import Pretrained, list_pretrained, load_pretrained
 from .recording import RecordedEpisode, record_episode
@@ -6,9 +8,12 @@ from .reporting.report import write_report
 from .verdict import write_verdict
 
 __all__ = [
+    "CompareResult",
+    "EnvSpec",
     "RecordedEpisode",
     "Grid",
     "Pretrained",
+    "compare",
     "list_pretrained",
     "load_pretrained",
     "record_episode",

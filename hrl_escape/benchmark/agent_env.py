@@ -9,6 +9,7 @@ import gymnasium
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.hierarchy_kinds import find_kind
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
@@ -85,7 +86,9 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 
 def make_player(agent: AgentSpec, env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-    """Make an agent without training, a reference or the text agent, for an environment of `make_agent_env`."""
+    """Make an agent without training, such as a reference, for an environment of `make_agent_env`."""
+    if agent.is_frozen:
+        return make_agent(agent, env.observation_space, env.action_space, seed=0)
     if agent.name != TEXT_AGENT:
         return make_reference(agent.name, env, recorder)
     from hrl_escape.text.managers import ToolsAgent, make_model

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.text import Text
 
 from hrl_escape.benchmark.cost import describe_cost
+from hrl_escape.benchmark.env_spec import EnvPlace
 from hrl_escape.benchmark.grid import Grid, GridRun, load_grid
 from hrl_escape.benchmark.launching.local import Failure, Launcher, LocalLauncher
 from hrl_escape.benchmark.run_results import RunResult, get_run_folder, load_run_result
@@ -57,9 +58,7 @@ class Monitor:
     def finish(self, run: GridRun, result: RunResult) -> None:
         """Show a finished run."""
         self.results.append((run, result))
-        self._say(run, f"efficiency {result.get_final('efficiency'):.3f}, success rate "
-                        f"{result.get_final('success_rate'):.0%}, {result.get_final('mean_length'):.0f} primitives an "
-                        "episode", "green")
+        self._say(run, result.describe_final(), "green")
 
     def fail(self, failure: Failure) -> None:
         """Show a failed run."""
@@ -85,7 +84,7 @@ class Comparison(Pictured):
     """Finished and failed runs of a grid."""
 
     grid: Grid  # the settings
-    places: tuple[RunPlace, ...]  # rooms, or sets of rooms, in the grid's order
+    places: tuple[RunPlace | EnvPlace, ...]  # rooms, sets of rooms, or the environment, in the grid's order
     runs: tuple[tuple[GridRun, RunResult], ...]  # finished runs with their results, in the grid's order
     failures: tuple[Failure, ...]  # runs that failed
     out: Path  # its folder
@@ -93,7 +92,8 @@ class Comparison(Pictured):
     _picture = "hrl_escape.benchmark.reporting.figures:draw_comparison"
 
     def __repr__(self) -> str:
-        return (f"<Comparison of {len(self.grid.agents)} agents in {len(self.places)} rooms: {len(self.runs)} finished "
+        where = self.grid.env.name if self.grid.env else f"{len(self.places)} rooms"
+        return (f"<Comparison of {len(self.grid.agents)} agents in {where}: {len(self.runs)} finished "
                 f"runs, {len(self.failures)} failed, in {self.out}>")
 
 
@@ -201,7 +201,7 @@ def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, fl
     return len(runs), len(runs) - len(seconds), statistics.median(seconds) if seconds else None
 
 
-def _make_runs(grid: Grid) -> tuple[tuple[RunPlace, ...], list[GridRun]]:
+def _make_runs(grid: Grid) -> tuple[tuple[RunPlace | EnvPlace, ...], list[GridRun]]:
     places = grid.make_places()
     return places, grid.make_runs(places)
 

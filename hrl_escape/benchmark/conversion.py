@@ -223,7 +223,7 @@ def _convert_agent(agent: Mapping[str, Any]) -> dict[str, Any]:
         made["label"] = label
     if spec.recipe != AgentSpec().recipe:
         made["recipe"] = spec.recipe
-    settings = dict(agent.get("settings", {}))
+    settings = rename_fields(agent.get("settings", {}))
     if "model" in settings and spec.name == "text-agent":
         settings["model"] = MANAGERS.get(settings["model"], settings["model"])
     if "told" in settings and spec.name == "text-agent":

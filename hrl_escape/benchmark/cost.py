@@ -15,6 +15,7 @@ from importlib.resources import files
 import numpy as np
 
 from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.benchmark.env_spec import EnvPlace
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import sample_puzzle
@@ -60,11 +61,14 @@ def estimate_hours(agents: Iterable[AgentSpec], primitives: int, buttons: Iterab
     return seconds / 3600, unknown
 
 
-def describe_cost(grid: Grid, places: Iterable[RunPlace]) -> str:
+def describe_cost(grid: Grid, places: Iterable[RunPlace | EnvPlace]) -> str:
     """Describe the estimated core time of a grid for the console."""
+    if grid.env is not None:
+        return "no rate is published for " + ", ".join(make_console_text(place.name) for place in places)
     if not any(agent.learns for agent in grid.agents):
         return "no agent is trained"
-    hours, unknown = estimate_hours(grid.agents, grid.primitives, map(_count_at, places), grid.runs, load_rates())
+    buttons = [_count_at(place) for place in places if isinstance(place, RunPlace)]
+    hours, unknown = estimate_hours(grid.agents, grid.primitives, buttons, grid.runs, load_rates())
     names = ", ".join(map(make_console_text, unknown))
     return (f"about {tell_seconds(3600 * hours)} of training on one core by published rates"
             + (f", and that of {names}, of which no rate is published" if unknown else ""))

@@ -71,7 +71,7 @@ class Difficulty(Pictured):
     oracle: float | None  # mean primitives of the best known escape, or None if none is known
     random_options: BaselineResult | None  # random legal options, or None if they cannot run
     search: BaselineResult | None  # the search baseline `search-nearest`, or None for puzzles that it cannot read
-    random_walk: RandomWalk | None  # random primitives, or None with chance, physics or more than `MOST_WALK_STATES` states
+    random_walk: RandomWalk | None  # or None with chance, physics or more than `MOST_WALK_STATES` states
 
     _picture = "hrl_escape.benchmark.difficulty:draw_difficulty"
 

@@ -13,9 +13,11 @@ from typing import Any
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.benchmark.agent_env import find_starts, make_agent_env, make_player
+from hrl_escape.benchmark.env_spec import EnvSpec
 from hrl_escape.benchmark.grid import GridRun
 from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.records import record_returns
@@ -36,8 +38,10 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         out: folder of the comparison, which holds the room.
         checkpoint_seconds: time between checkpoints.
     """
-    folder, place = get_run_folder(out, run), RunPlace.load(out / "rooms", run.place_id)
-    agent, grid = run.agent, run.grid
+    if run.grid.env is not None:
+        _finish(run, out, _execute_in_env(run, run.grid.env, out, checkpoint_seconds), [])
+        return
+    place, agent, grid = RunPlace.load(out / "rooms", run.place_id), run.agent, run.grid
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
     order = {str(seed): n for n, seed in enumerate(seeds)}
     common = _find_common_spaces(agent, place.split, grid.observation) if place.split else None
@@ -52,7 +56,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
             evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=parts)
             value = RunResult.make_reference(grid.primitives, evaluation, score_range)
         elif place.split is None:
-            player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
+            player, value = _train(run, out, env, env, None, score_range, checkpoint_seconds)
         else:
             player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
         record_returns(starts, score_range.best, value.evaluations, run.source)
@@ -62,8 +66,27 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         episodes = [] if parts > 1 else [record_episode(player, env, seed).to_json() for seed in drawn]
     finally:
         env.close()
+    _finish(run, out, value, episodes)
+
+
+def _finish(run: GridRun, out: Path, value: RunResult, episodes: list[dict[str, Any]]) -> None:
+    folder = get_run_folder(out, run)
     write_json(folder / "episodes.json", episodes, indent=None)
     write_json(folder / "run_result.json", {"identity": run.identity, "result": dataclasses.asdict(value)}, indent=None)
+
+
+def _execute_in_env(run: GridRun, spec: EnvSpec, out: Path, checkpoint_seconds: float) -> RunResult:
+    """Train or evaluate an agent in an environment from elsewhere, whose best return is not known."""
+    agent, grid = run.agent, run.grid
+    env = spec.make_agent_env(agent)
+    try:
+        if not agent.is_frozen:
+            return _train(run, out, env, env, None, None, checkpoint_seconds)[1]
+        player = make_agent(agent, env.observation_space, env.action_space, seed=0)
+        return RunResult.make_reference(grid.primitives, evaluate(player, env, grid.eval_episodes, run.eval_seed,
+                                                                  grid.primitives), None)
+    finally:
+        env.close()
 
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
@@ -87,7 +110,7 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
     env, _ = make_agent_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
     again, again_recorder = make_agent_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
-        agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
+        agent, value = _train(run, out, env, eval_env, place.split, score_range, checkpoint_seconds)
         starts = find_starts(again, again_recorder, seeds)
         seen_range = compute_score_range(starts, run.agent, out / "references", parts)
         seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions, trials=parts)
@@ -119,8 +142,8 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
     return dataclasses.replace(value, trials=found, trial_ranges=ranges)
 
 
-def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, place: RunPlace,
-           score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, split: Split | None,
+           score_range: ScoreRange | None, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
     from hrl_escape.agents.training.train import train
 
     # `run.settings` and the environment hold the rest of the spec.
@@ -131,7 +154,7 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
         eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False,
-        eval_trials=1 if place.split is None else len(list_sets(place.split.test)), observed=False,
+        eval_trials=1 if split is None else len(list_sets(split.test)), observed=False,
     )
     assert result.agent is not None, "a run that this process finished or loaded has its agent"
     budget = min(run.grid.primitives, result.primitives)

@@ -1,4 +1,4 @@
-"""Grids: agents, rooms and training seeds of a comparison, as frozen settings that can be read from TOML.
+"""Grids: agents, rooms or an environment, and training seeds of a comparison, as settings that TOML can hold.
 
 All agents have the same rooms, seeds and evaluation episodes (a paired design). `execution.py` executes one run,
 `launching` all of them.
@@ -18,7 +18,10 @@ from typing import Annotated, Any, Literal
 
 from typing_extensions import Self
 
+from hrl_escape.agents.registry import find_given_agent
 from hrl_escape.agents.spec import LARGEST, AgentSpec
+from hrl_escape.agents.training.env_description import compute_code_digest
+from hrl_escape.benchmark.env_spec import EnvPlace, EnvSpec
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError
 from hrl_escape.files import read_json, read_toml
@@ -68,6 +71,8 @@ class Grid(Settings):
     """Seed that fixes the evaluation episodes, together with the training seed."""
     observation: str = "features"
     """Vector observation of every agent."""
+    env: EnvSpec | None = None
+    """Environment from elsewhere, in place of rooms."""
     trials: Annotated[int, Range(1, 1000)] = 1
     """Trials per episode in each room of `train_rooms` and `test_rooms`; memories persist. See `SequenceEnv`."""
     format: Literal[2] = GRID_FORMAT
@@ -84,11 +89,13 @@ class Grid(Settings):
 
     def check(self) -> None:
         """Require agents, rooms, and labels that distinguish the agents."""
-        if self.train_rooms or self.test_rooms:
+        if self.env is not None:
+            self._check_env()
+        elif self.train_rooms or self.test_rooms:
             self._check_sets()
         elif self.trials > 1:
             raise GridError(f"grid {self.name!r}: trials are made in train_rooms and test_rooms, not in rooms")
-        for what, members in (("agents", self.agents), ("rooms", self.rooms or self.train_rooms)):
+        for what, members in (("agents", self.agents), ("rooms", self.rooms or self.train_rooms or self.env)):
             if not members:
                 raise GridError(f"grid {self.name!r} has no {what}: give at least one")
         _refuse_duplicates("agent label", [agent.label for agent in self.agents])
@@ -96,6 +103,12 @@ class Grid(Settings):
             check_option_set(agent.options.option_set)
         if not get_observation(self.observation).is_vector:
             raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
+
+    def _check_env(self) -> None:
+        if self.rooms == DEFAULT_ROOMS:
+            object.__setattr__(self, "rooms", ())
+        if self.rooms or self.train_rooms or self.test_rooms or self.trials > 1:
+            raise GridError(f"grid {self.name!r}: an environment does not go with rooms and trials: give one of them")
 
     def _check_sets(self) -> None:
         if self.rooms == DEFAULT_ROOMS:
@@ -109,12 +122,14 @@ class Grid(Settings):
         if self.trials > 1 and given:
             raise GridError(f"grid {self.name!r}: the hierarchy of {given[0]} ends with an episode: give it no trials")
 
-    def make_places(self) -> tuple[RunPlace, ...]:
-        """Make the rooms or sets of rooms of the runs.
+    def make_places(self) -> tuple[RunPlace | EnvPlace, ...]:
+        """Make the rooms, the sets of rooms, or the environment of the runs.
 
         Raises:
             EscapeError: no such preset, set or file; an impossible room configuration.
         """
+        if self.env is not None:
+            return (self.env.make_place(self.agents),)
         if not self.train_rooms:
             return tuple(room.make_place() for room in self.rooms)
         tests = self.test_rooms * (len(self.train_rooms) if len(self.test_rooms) == 1 else 1)
@@ -146,7 +161,7 @@ class Grid(Settings):
             data = {**data, "rooms": rooms}
         return super().from_dict(data)
 
-    def make_runs(self, places: Sequence[RunPlace]) -> list[GridRun]:
+    def make_runs(self, places: Sequence[RunPlace | EnvPlace]) -> list[GridRun]:
         """Make all runs, ordered by seed, so early results include all agents.
 
         Args:
@@ -160,10 +175,12 @@ class Grid(Settings):
         counts = Counter(place.name for place in places)
         names = [f"{place.name}-{place.id[:6]}" if counts[place.name] > 1 else place.name for place in places]
         resolved = [agent.resolve_settings() for agent in self.agents]
+        given = [find_given_agent(agent.name) for agent in self.agents]
+        codes = [None if kind is None else compute_code_digest(kind) for kind in given]
         if any(place.split is not None and place.split.is_transfer for place in places):
             self._check_transfer(resolved)
         runs = [
-            GridRun(self, number, resolved[number], place.id, room, seed)
+            GridRun(self, number, resolved[number], place.id, room, seed, codes[number])
             for seed in range(self.first_seed, self.first_seed + self.runs)
             for (room, place), number in itertools.product(zip(names, places, strict=True), range(len(self.agents)))
         ]
@@ -181,6 +198,7 @@ class GridRun:
     place_id: str  # content hash of the room, or of the sets of rooms
     room: str  # its name in tables
     seed: int  # training seed
+    code: str | None = None  # hash of the agent's code, for a class that this process registered
 
     @property
     def agent(self) -> AgentSpec:
@@ -212,7 +230,7 @@ class GridRun:
             "settings": self.settings,
             "options": self.agent.options.to_dict() if self.agent.chooses_options else None,
             "room": self.place_id,
-            "observation": self.grid.observation,
+            "observation": self.grid.observation if self.grid.env is None else None,
             "primitives": self.grid.primitives,
             "decisions": self.grid.decisions,
             "eval_every": self.grid.evaluation_step,
@@ -221,7 +239,8 @@ class GridRun:
             "seed": self.seed,
         }
         trials = self.grid.trials
-        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None}
+        asked_for = {"low_level": self.agent.low_level, "trials": trials if trials > 1 else None,
+                     "code": self.code}
         return identity | {name: value for name, value in asked_for.items() if value is not None}
 
     @cached_property

@@ -154,7 +154,7 @@ ALPHA = 0.05
 IMPROVEMENT_RESAMPLES = 1_000
 
 Finals: TypeAlias = Mapping[tuple[str, int], float]
-"""(room, training seed) -> final efficiency of a run."""
+"""(room, training seed) -> final efficiency of a run, or another `Measure`."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Pair:
     """Two agents compared."""
 
     improvement: Estimate  # share of pairs with the first above the second, ties half
-    difference: Estimate  # of mean efficiency, first minus second; its interval is not corrected
+    difference: Estimate  # of means, first minus second; its interval is not corrected
     p: float  # two-sided, corrected over the family; 1 if one of the agents is not in it
     count: int  # (room, seed) pairs
 
@@ -182,10 +182,18 @@ def is_better(pair: Pair) -> bool:
 
 
 def compare_agents(finals: Sequence[Finals], in_family: Sequence[bool], rng: np.random.Generator,
-                   resamples: int = IMPROVEMENT_RESAMPLES) -> tuple[tuple[Pair, ...], ...]:
-    """Compare all agents with each other; `in_family` is false for references without claims."""
+                   resamples: int = IMPROVEMENT_RESAMPLES, largest: float = 1.0) -> tuple[tuple[Pair, ...], ...]:
+    """Compare all agents with each other.
+
+    Args:
+        finals: final values of each agent.
+        in_family: false for references without claims.
+        rng: of the intervals.
+        resamples: of the intervals.
+        largest: largest difference of two values.
+    """
     couples = list(itertools.combinations(range(len(finals)), 2))
-    found = {couple: _compare(finals[couple[0]], finals[couple[1]], rng, resamples) for couple in couples}
+    found = {couple: _compare(finals[couple[0]], finals[couple[1]], rng, resamples, largest) for couple in couples}
     family = [couple for couple in couples if in_family[couple[0]] and in_family[couple[1]]]
     adjusted = dict(zip(family, correct_by_holm([found[couple].p for couple in family]), strict=True))
     pairs = {couple: Pair(pair.improvement, pair.difference, adjusted.get(couple, 1.0), pair.count)
@@ -195,15 +203,16 @@ def compare_agents(finals: Sequence[Finals], in_family: Sequence[bool], rng: np.
     return tuple(tuple(pairs.get((first, second), ITSELF) for second in everybody) for first in everybody)
 
 
-def _compare(first: Finals, second: Finals, rng: np.random.Generator, resamples: int) -> Pair:
+def _compare(first: Finals, second: Finals, rng: np.random.Generator, resamples: int, largest: float) -> Pair:
     differences = _subtract(first, second)
     test = compare_pairs(differences)
     if not differences:
-        return Pair(Estimate(0.5, 0.0, 1.0), Estimate(0.0, -1.0, 1.0), 1.0, 0)
+        return Pair(Estimate(0.5, 0.0, 1.0), Estimate(0.0, -largest, largest), 1.0, 0)
     wins = [np.heaviside(room, 0.5) for room in differences]
     low, high = compute_interval(compute_mean, wins, (0.0, 1.0), rng, resamples)
     improvement = Estimate(float(compute_mean(wins)), float(low), float(high))
-    return Pair(improvement, Estimate(test.difference, max(test.low, -1.0), min(test.high, 1.0)), test.p, test.pairs)
+    difference = Estimate(test.difference, max(test.low, -largest), min(test.high, largest))
+    return Pair(improvement, difference, test.p, test.pairs)
 
 
 def _subtract(first: Finals, second: Finals) -> list[Floats]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -36,7 +37,7 @@ class RunResult:
     """Primitives at the end of the first successful training episode, or None. A reference counts from its first
     evaluation episode."""
     evaluations: tuple[Evaluation, ...]  # the first before training, the last after it; one for a reference
-    score_range: ScoreRange  # scale of its scores
+    score_range: ScoreRange | None  # scale of its scores; None in an environment from elsewhere
     seconds: tuple[float, ...] = dataclasses.field(compare=False)
     """Training time at each evaluation; ignored by `==`."""
     planner_seconds: float = dataclasses.field(compare=False)  # training time in planners; ignored by `==`
@@ -49,14 +50,15 @@ class RunResult:
     trial_ranges: tuple[ScoreRange, ...] = ()  # their scales
 
     @classmethod
-    def make(cls, budget: int, result: TrainResult, score_range: ScoreRange) -> RunResult:
+    def make(cls, budget: int, result: TrainResult, score_range: ScoreRange | None) -> RunResult:
         """Make the result of a finished training run."""
         return cls(budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
                    result.first_escape, result.evaluations, score_range,
                    tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions())
 
     @classmethod
-    def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange) -> RunResult:
+    def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange | None
+                       ) -> RunResult:
         """Make the result of a reference from its evaluation."""
         waited = np.cumsum(evaluation.lengths)
         escapes = [int(at) for at, success in zip(waited, evaluation.successes, strict=True) if success]
@@ -64,7 +66,10 @@ class RunResult:
                    list_versions())
 
     def get_curve(self, metric: str) -> NDArray[np.float64]:
-        """Return a metric at every evaluation: `primitives`, `decisions`, `seconds`, `efficiency` or a mean."""
+        """Return a metric at every evaluation: `primitives`, `decisions`, `seconds`, `efficiency` or a mean.
+
+        Values that the environment does not define are NaN.
+        """
         if metric == "seconds":
             return np.array(self.seconds)
         if metric == "efficiency":
@@ -88,12 +93,26 @@ class RunResult:
         return compute_final(self.get_curve("primitives"), self.get_curve(metric), self.budget)
 
     @property
+    def reports_success(self) -> bool:
+        """True if every evaluation has a success rate."""
+        return all(evaluation.success_rate is not None for evaluation in self.evaluations)
+
+    def describe_final(self) -> str:
+        """Describe the final values in words: efficiency or return, success rate, and primitives."""
+        first = (f"efficiency {self.get_final('efficiency'):.3f}" if self.score_range is not None else
+                 f"return {self.get_final('mean_return'):.4g}")
+        success = f", success rate {self.get_final('success_rate'):.0%}" if self.reports_success else ""
+        return f"{first}{success}, {self.get_final('mean_length'):.0f} primitives an episode"
+
+    @property
     def is_stuck(self) -> bool:
         """True if no evaluation episode succeeded in the last fifth of the budget."""
         return self.get_final("success_rate") == 0.0
 
 
-def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> float:
+def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange | None) -> float:
+    if score_range is None:
+        return math.nan
     return compute_mean_efficiency(evaluation.escaped, evaluation.lengths, score_range.fewest,
                                    score_range.is_expected)
 

@@ -14,6 +14,7 @@ from typing import Literal
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.benchmark.inference import is_better
+from hrl_escape.benchmark.measures import EFFICIENCY, RETURN, Measure
 from hrl_escape.benchmark.references import registry as references
 from hrl_escape.benchmark.score_range import CEILING, PLANNER
 from hrl_escape.benchmark.statistics import LEAST_RUNS
@@ -61,9 +62,9 @@ def write_verdict(summary: Summary) -> Verdict:
 
 
 def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:
-    """Return the most efficient agent; the oracle only if it is alone."""
+    """Return the agent with the highest final value; the oracle only if it is alone."""
     contenders = [agent for agent in agents if agent.spec.name != references.ORACLE] or agents
-    return max(contenders, key=lambda agent: agent.efficiency.value)
+    return max(contenders, key=lambda agent: agent.primary.value)
 
 
 def _beats(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
@@ -77,32 +78,36 @@ def _write_headline(summary: Summary) -> str:
     contenders = [agent for agent in summary.agents if agent.spec.name != references.ORACLE]
     leader = find_leader(summary.agents)
     if leader.success.value == 0:
-        return f"No agent escapes within {summary.grid.primitives:,} primitives of training."
+        return f"No agent {_get_verb(summary)}s within {summary.grid.primitives:,} primitives of training."
     if len(contenders) < 2:
-        return f"`{leader.label}` {_describe_escapes(leader)}."
-    others = sorted((agent for agent in contenders if agent is not leader), key=lambda agent: -agent.efficiency.value)
+        return f"`{leader.label}` {_describe_end(summary, leader)}."
+    others = sorted((agent for agent in contenders if agent is not leader), key=lambda agent: -agent.primary.value)
+    measure = summary.measure
     tied = [leader, *(agent for agent in others if _tie(summary, leader, agent))]
     if any(_has_few(summary, leader, agent) for agent in others):
-        most = (f"`{leader.label}` has the highest efficiency, {leader.efficiency:.2f}" if len(tied) == 1 else
-                f"{_join_labels(tied)} have the highest efficiency, {leader.efficiency:.2f}")
-        return (f"{most}. {count_things(leader.fewest_runs, 'run').capitalize()} a room "
+        highest = f"the highest {measure.name}, {measure.describe(leader.primary)}"
+        most = f"`{leader.label}` has {highest}" if len(tied) == 1 else f"{_join_labels(tied)} have {highest}"
+        return (f"{most}. {count_things(leader.fewest_runs, 'run').capitalize()}{_get_place(summary)} "
                 f"{'is' if leader.fewest_runs == 1 else 'are'} too few for a verdict, which takes {LEAST_RUNS}.")
     level = [agent for agent in others if not _beats(summary, leader, agent) and agent not in tied]
     if not level and len(tied) == 1:
         learners = any(agent.spec.learns for agent in others)
-        return (f"`{leader.label}` is best: it {_describe_escapes(leader)}." if leader.spec.learns or not learners else
-                f"No learner matches `{leader.label}`, which {_describe_escapes(leader)}.")
+        end = _describe_end(summary, leader)
+        return (f"`{leader.label}` is best: it {end}." if leader.spec.learns or not learners else
+                f"No learner matches `{leader.label}`, which {end}.")
     if len(tied) == 1:
         return (f"No significant difference between {_join_labels([leader, *level])}; the first "
-                f"{_describe_escapes(leader)}.")
-    tie = f"{_join_labels(tied)} tie at an efficiency of {leader.efficiency.value:.2f}"
+                f"{_describe_end(summary, leader)}.")
+    tie = (f"{_join_labels(tied)} tie at {_get_article(measure)} {measure.name} of "
+           f"{measure.format(leader.primary.value)}")
     return f"{tie}, with no significant difference from {_join_labels(level)}." if level else (
-        f"{tie}: `{leader.label}` {_describe_escapes(leader)}.")
+        f"{tie}: `{leader.label}` {_describe_end(summary, leader)}.")
 
 
 def _tie(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
-    """Return whether two agents have the same efficiency to two digits without a significant difference."""
-    return (f"{first.efficiency.value:.2f}" == f"{second.efficiency.value:.2f}" and not _beats(summary, first, second)
+    """Return whether two agents have the same value as printed without a significant difference."""
+    values = (summary.measure.format(agent.primary.value) for agent in (first, second))
+    return (len(set(values)) == 1 and not _beats(summary, first, second)
             and not _beats(summary, second, first))
 
 
@@ -119,14 +124,34 @@ def _join_labels(agents: Sequence[AgentSummary]) -> str:
     return join_words(labels)
 
 
-def _describe_escapes(agent: AgentSummary) -> str:
-    """`escapes every time, in 37 primitives`."""
+def _describe_end(summary: Summary, agent: AgentSummary) -> str:
+    """`escapes every time, in 37 primitives`; elsewhere `succeeds every time` or `has a return of 92.1`."""
+    verb = _get_verb(summary)
+    if summary.measure is RETURN:
+        return f"has a return of {RETURN.describe(agent.primary)}"
     if agent.success.value == 0:
-        return "never escapes"
+        return f"never {verb}s"
     if agent.success.value < SETTLED:
-        return f"escapes in {agent.success.value:.0%} of episodes"
+        return f"{verb}s in {agent.success.value:.0%} of episodes"
     often = "every time" if agent.success.value == 1 else f"in {agent.success.value:.1%} of episodes"
-    return f"escapes {often}, in {agent.length.value:.0f} primitives"
+    return f"{verb}s {often}, in {agent.length.value:.0f} primitives"
+
+
+def _get_verb(summary: Summary) -> str:
+    return "escape" if summary.measure is EFFICIENCY else "succeed"
+
+
+def _get_noun(summary: Summary) -> str:
+    return "escape" if summary.measure is EFFICIENCY else "success"
+
+
+def _get_place(summary: Summary) -> str:
+    """` a room` after a number of runs, or nothing in one environment."""
+    return " a room" if summary.grid.env is None else ""
+
+
+def _get_article(measure: Measure) -> str:
+    return "an" if measure is EFFICIENCY else "a"
 
 
 # --- findings --------------------------------------------------------------------------
@@ -142,14 +167,16 @@ def _compare_views(summary: Summary) -> list[str]:
     best_flat, best = find_leader(_prefer_learners(flat)), find_leader(_prefer_learners(hierarchical))
     names = join_words([f"`{agent.label}`" for agent in flat])
     if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
-        return [f"Without options no agent escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
-                f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_escapes(best)}."]
+        return [f"Without options no agent {_get_verb(summary)}s: {names} never "
+                f"{'does' if len(flat) == 1 else 'do'} within "
+                f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_end(summary, best)}."]
+    with_options, without = _describe_end(summary, best), _describe_end(summary, best_flat)
     if _beats(summary, best, best_flat):
-        return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {_describe_escapes(best)}, the "
-                f"second {_describe_escapes(best_flat)}."]
+        return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {with_options}, the second "
+                f"{without}."]
     if _beats(summary, best_flat, best):
-        return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first "
-                f"{_describe_escapes(best_flat)}, the second {_describe_escapes(best)}."]
+        return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first {without}, the "
+                f"second {with_options}."]
     return [f"With options against without: {_describe_even(summary, best, best_flat)}."]
 
 
@@ -162,7 +189,7 @@ def _compare_with_random(summary: Summary) -> list[str]:
 
     A learner improves on it only if it also beats the best search baseline.
     """
-    sentences = []
+    sentences, plans = [], summary.grid.env is None
     for baseline in summary.agents:
         if not baseline.spec.chooses_options or baseline.spec.algorithm != "random":
             continue
@@ -171,16 +198,17 @@ def _compare_with_random(summary: Summary) -> list[str]:
         if not learners:
             continue
         best = find_leader(learners)
-        start = (f"Random choice among the options (`{baseline.label}`) {_describe_escapes(baseline)}"
-                 f"{': that much comes from their planners' if baseline.success.value > 0 else ''}.")
+        start = (f"Random choice among the options (`{baseline.label}`) {_describe_end(summary, baseline)}"
+                 f"{': that much comes from their planners' if plans and baseline.success.value > 0 else ''}.")
         if _beats(summary, best, baseline):
-            both = min(baseline.success.value, best.success.value) >= SETTLED
-            gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
+            both = summary.measure is not RETURN and min(baseline.success.value, best.success.value) >= SETTLED
+            gain = f"shortens that to {best.length.value:.0f}" if both else _describe_end(summary, best)
             searches = _list_search_baselines(summary)
             adds = "Learning adds to it: " if searches and _beats(summary, best, find_leader(searches)) else ""
             sentences.append(f"{start} {adds}`{best.label}` {gain}.")
         elif _beats(summary, baseline, best):
-            sentences.append(f"{start} No learner matches it: the best, `{best.label}`, {_describe_escapes(best)}.")
+            sentences.append(f"{start} No learner matches it: the best, `{best.label}`, "
+                             f"{_describe_end(summary, best)}.")
         else:
             sentences.append(f"{start} Best learner against it: {_describe_even(summary, best, baseline)}.")
         worse = [agent for agent in learners if agent is not best and _beats(summary, baseline, agent)]
@@ -204,8 +232,8 @@ def _compare_with_search(summary: Summary) -> list[str]:
     best, baseline = find_leader(learners), find_leader(baselines)
     rule = references.describe_rule(baseline.spec.name)
     name = "search baseline" if len(baselines) == 1 else "best search baseline"
-    start = (f"The {name}, `{baseline.label}`, {_describe_escapes(baseline)}. It {rule}, and forgets everything after "
-             "an episode")
+    start = (f"The {name}, `{baseline.label}`, {_describe_end(summary, baseline)}. It {rule}, and forgets everything "
+             "after an episode")
     if _beats(summary, best, baseline):
         return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
     if _beats(summary, baseline, best):
@@ -223,13 +251,18 @@ def _describe_speed(summary: Summary) -> list[str]:
                       if agent.spec.learns and agent.escaped_runs)
     if not learners:
         return []
-    when = join_words([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs escape)"
-                  for value, label, agent in learners])
-    return [f"First escape in training, on average, with runs that never escape counted at the budget: {when}."]
+    verb, noun = _get_verb(summary), _get_noun(summary)
+    when = join_words([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs {verb})"
+                       for value, label, agent in learners])
+    return [f"First {noun} in training, on average, with runs that never {verb} counted at the budget: {when}."]
 
 
 def _describe_gap(summary: Summary) -> list[str]:
     leader = find_leader(summary.agents)
+    if summary.grid.env is not None:
+        reference, reached = summary.grid.env.reference, RETURN.describe(leader.returns)
+        return [] if reference is None else [
+            f"The reference return is {RETURN.format(reference)}; `{leader.label}` has {reached}."]
     missing = sum(leader.gap)
     if missing <= 0.0005:
         return [f"`{leader.label}` is as efficient as the best known escape."]
@@ -245,7 +278,7 @@ def _describe_gap(summary: Summary) -> list[str]:
 def _describe_stuck(summary: Summary) -> list[str]:
     some = [f"{agent.stuck_runs} of {agent.runs} runs of `{agent.label}`"
             for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
-    return [f"No escape in the last fifth of training: {join_words(some)}."] if some else []
+    return [f"No {_get_noun(summary)} in the last fifth of training: {join_words(some)}."] if some else []
 
 
 def _describe_generalisation(summary: Summary) -> list[str]:
@@ -292,27 +325,33 @@ def _write_cautions(summary: Summary) -> list[str]:
         lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
         cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
     if grid.runs < LEAST_RUNS:
-        cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: with `--runs {LEAST_RUNS}` the same "
+        more = f"`--runs {LEAST_RUNS}`" if grid.env is None else f"`--runs {LEAST_RUNS}` or `seeds={LEAST_RUNS}`"
+        cautions.append(f"{count_things(grid.runs, 'run').capitalize()}{_get_place(summary)}: with {more} the same "
                         "command continues these runs, to a verdict.")
+    if grid.env is not None:
+        cautions.append(f"Intervals and tests are over training seeds in {summary.rooms[0].name} alone. They say "
+                        "nothing about other environments.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     covered = [_get_choices(agent) for agent in summary.agents
                if agent.spec.chooses_options and agent.spec.algorithm == "random"]
     unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in covered]
     if unmatched:
+        brought = "the options' planners" if grid.env is None else "the options"
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
-                        "the score that the options' planners bring is unknown.")
-    if learners and not any(agent.spec.name in references.SEARCH_METHODS for agent in summary.agents):
+                        f"the score that {brought} bring is unknown.")
+    has_search = any(agent.spec.name in references.SEARCH_METHODS for agent in summary.agents)
+    if grid.env is None and learners and not has_search:
         cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
                         "without learning is unknown.")
     for room in summary.rooms:
         if room.place.split is not None and (known := room.place.split.room_overlap):
             cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "
                             "is not efficiency in unseen rooms.")
-        if CEILING in room.source.split(", "):
+        if grid.env is None and CEILING in room.source.split(", "):
             cautions.append(f"No plan is known for {room.name}: its scores are measured by an escape at once, which no "
                             "agent can do, so efficiency there is near 0.")
-        elif PLANNER not in room.source.split(", ") and room.source == "nothing":
+        elif grid.env is None and PLANNER not in room.source.split(", ") and room.source == "nothing":
             cautions.append(f"No run in {room.name} has a result.")
     mixed = [name for name, version in summary.versions.items() if ", " in version]
     if mixed:
@@ -330,15 +369,17 @@ def _get_choices(agent: AgentSummary) -> OptionsView:
 
 def _describe_even(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
     """Describe two agents without a significant difference."""
-    values = (f"`{first.label}` has an efficiency of {first.efficiency:.2f}, `{second.label}` of "
-              f"{second.efficiency:.2f}")
+    measure = summary.measure
+    values = (f"`{first.label}` has {_get_article(measure)} {measure.name} of {measure.describe(first.primary)}, "
+              f"`{second.label}` of {measure.describe(second.primary)}")
     return values if _has_few(summary, first, second) else f"no significant difference; {values}"
 
 
 def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
-    pair = summary.get_pair(first, second)
-    return (f"`{first.label}` is more efficient than `{second.label}` by {pair.difference:.2f} with the same room and "
-            f"seed, in {pair.improvement.value:.0%} of {pair.count} pairs")
+    pair, measure = summary.get_pair(first, second), summary.measure
+    where = "room and seed" if summary.grid.env is None else "seed"
+    return (f"`{first.label}` {measure.better} `{second.label}` by {measure.describe(pair.difference)} with the "
+            f"same {where}, in {pair.improvement.value:.0%} of {pair.count} pairs")
 
 
 def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:

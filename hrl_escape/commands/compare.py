@@ -7,11 +7,14 @@
     hrl-escape compare ladder --room clutter clutter#1 --runs 5
     hrl-escape compare --agents dqn smdp-dqn smdp-dqn@keras-rl-2019 random-options --room four-button-chain
     hrl-escape compare my-grid.toml --out runs/mine
+    hrl-escape compare --env CartPole-v1 --agents dqn ppo --runs 5
+    hrl-escape compare --env MiniGrid-DoorKey-8x8-v0 --options my_options.py:make --agents dqn smdp-dqn random-options
     hrl-escape compare --agents smdp-dqn random-options --observation objects \
         --train-rooms ladder-1/pair/train#0..16 --test-rooms ladder-1/pair/test
 
-Finished runs are kept; the same command resumes. In a grid's file, agents are tables or short texts, and rooms are
-short texts:
+Finished runs are kept; the same command resumes. An environment from elsewhere has no best known return: agents are
+compared by their return, or by success where every episode reports it. In a grid's file, agents are tables or short
+texts, and rooms are short texts:
 
     primitives = 20000
     rooms = ["clutter#3", "larg-2019(size=4)", "my-room.json", "ladder-1/lattice/test#3"]
@@ -23,6 +26,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import shlex
 import sys
 import webbrowser
@@ -35,19 +39,21 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from hrl_escape.agents.registry import RANDOM_OPTIONS
 from hrl_escape.agents.spec import PARTS, AgentSpec
 from hrl_escape.benchmark.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.benchmark.cost import describe_cost
+from hrl_escape.benchmark.env_spec import EnvSpec
 from hrl_escape.benchmark.grid import Grid, load_grid
 from hrl_escape.benchmark.launching.clusters import RayLauncher, SlurmLauncher
 from hrl_escape.benchmark.launching.local import Launcher, LocalLauncher
 from hrl_escape.benchmark.presets import GRIDS, get_grid
-from hrl_escape.benchmark.reporting.report import format_first_escape, write_report
+from hrl_escape.benchmark.reporting.report import format_first_escape, list_env_columns, list_env_values, write_report
 from hrl_escape.benchmark.summary import Summary
 from hrl_escape.benchmark.verdict import write_verdict
 from hrl_escape.commands.agent_choice import VectorObservation
 from hrl_escape.commands.room_choice import refuse_rooms, split_assignment
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.names import join_words, make_console_text, make_file_name, tell_seconds
 from hrl_escape.sets.room_spec import RoomSpec
 
@@ -134,6 +140,12 @@ class CompareArgs(LaunchArgs):
     """Training sets, such as ladder-1/lattice/train#0..64, clutter#0..16 or a .json file of a set."""
     test_rooms: tuple[str, ...] = ()
     """Test sets: one for all --train-rooms, or one for each."""
+    env: str | None = None
+    """Environment from elsewhere, in place of rooms: a Gymnasium id, or a function as file.py:function."""
+    options: str = ""
+    """Options in --env, as file.py:function: a function from the environment to its options."""
+    reference: float | None = None
+    """Return in --env to draw and to name for comparison."""
     runs: int | None = None
     """Runs of each agent in each room; use ten or more for published tables."""
     first_seed: int | None = None
@@ -178,11 +190,21 @@ class CompareArgs(LaunchArgs):
             agents = changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
             if any(agent.reads_objects for agent in agents):
                 changes.setdefault("observation", "objects")
+        if self.env is not None:
+            if self.room or self.train_rooms or self.test_rooms or self.observation:
+                raise UnsupportedError("--env does not go with --room, --train-rooms, --test-rooms and --observation")
+            changes |= {"rooms": (), "env": EnvSpec(self.env, self.options, reference=self.reference)}
+            if not self.agents:
+                over_options = (RANDOM_OPTIONS, "smdp-dqn") if self.options else ()
+                changes["agents"] = tuple(map(AgentSpec.parse, ("random", "dqn", *over_options)))
+        elif self.options or self.reference is not None:
+            raise UnsupportedError("--options and --reference are for --env; the options of rooms are part of an "
+                                   "agent's spec, such as smdp-dqn+reactive")
         if self.room:
             changes["rooms"] = tuple(map(RoomSpec.parse, self.room))
         if self.train_rooms:
             changes |= {"rooms": (), "train_rooms": self.train_rooms, "test_rooms": self.test_rooms}
-        if self.what == DEFAULT and (self.agents or self.room or self.train_rooms):
+        if self.what == DEFAULT and (self.agents or self.room or self.train_rooms or self.env):
             changes |= {"name": "comparison", "description": ""}
         return dataclasses.replace(grid, **changes)
 
@@ -252,9 +274,14 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
         console.print(Text(f"{mark} ", style="dim").append_text(_mark(sentence.text)))
     table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1))
     table.add_column("agent", no_wrap=True)
-    for heading in ("efficiency", "95 % interval", "progress", "success rate", "primitives", "first escape"):
+    in_rooms = summary.grid.env is None
+    for heading in (("efficiency", "95 % interval", "progress", "success rate", "primitives", "first escape")
+                    if in_rooms else list_env_columns(summary)):
         table.add_column(heading, justify="right", no_wrap=True)
     for agent in summary.agents:
+        if not in_rooms:
+            table.add_row(make_console_text(agent.label), *list_env_values(summary, agent))
+            continue
         table.add_row(make_console_text(agent.label), f"{agent.efficiency.value:.3f}",
                       f"{agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}", f"{agent.progress.value:.2f}",
                       f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}", format_first_escape(agent))
@@ -273,7 +300,8 @@ def _mark(text: str) -> Text:
 
 
 def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
-    return {
+    return _clear({
+        "measure": summary.measure.name,
         "verdict": [dataclasses.asdict(sentence) for sentence in write_verdict(summary)],
         "agents": [
             {
@@ -281,7 +309,8 @@ def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
                 "runs": agent.runs,
                 "seen": None if agent.seen is None else agent.seen._asdict(),
                 **{name: getattr(agent, name)._asdict() for name in
-                   ("efficiency", "progress", "success", "first_escape", "length", "score", "area")},
+                   ("primary", "returns", "efficiency", "progress", "success", "first_escape", "length", "score",
+                    "area")},
                 "escaped_runs": agent.escaped_runs,
                 "stuck": agent.stuck,
                 "gap": agent.gap._asdict(),
@@ -292,4 +321,13 @@ def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
                   for room in summary.rooms],
         "failures": [{"run": failure.run.name, "message": failure.message} for failure in comparison.failures],
         "report": str(comparison.out / "report.html"),
-    }
+    })
+
+
+def _clear(value: Any) -> Any:
+    """Replace NaN, which JSON lacks, by None."""
+    if isinstance(value, dict):
+        return {name: _clear(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_clear(part) for part in value]
+    return None if isinstance(value, float) and math.isnan(value) else value

@@ -76,7 +76,7 @@ class RoomChoice:
 
 
 def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: bool = False) -> None:
-    """Raise for options of 0.3 that chose a room.
+    """Raise for options of 0.3 that chose a room or the number of its copies.
 
     Args:
         command: words before the options.
@@ -87,6 +87,8 @@ def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: boo
         UnsupportedError: the message shows the new form with the given values.
     """
     given = _read_words(words)
+    if "--batch" in given:
+        raise UnsupportedError(f"--batch is --num-envs now: write --num-envs {' '.join(given['--batch']) or 'N'}")
     old = [name for name in OLD_OPTIONS if name in given]
     if "--seed" in given and (not trains or old or not {"--room", "--data"} & given.keys()):
         old.append("--seed")

@@ -8,8 +8,8 @@
     hrl-escape train smdp-dqn --list-settings
     hrl-escape train dqn@keras-rl-2019 --room paper-two-button --seed 7 --json
     hrl-escape train maxq-q+planned
-    hrl-escape train ppo --batch 1024 --primitives 5000000
-    hrl-escape train dac --batch 64 --primitives 500000
+    hrl-escape train ppo --num-envs 1024 --primitives 5000000
+    hrl-escape train dac --num-envs 64 --primitives 500000
     hrl-escape train text-agent --settings model=search-random reveal=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
 
@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
 OF_OPTIONS = ("option_set",)
-OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "batch", "device", "compile", *OF_OPTIONS)
+OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "num_envs", "device", "compile", *OF_OPTIONS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,12 +82,12 @@ class TrainArgs(AgentChoice, RoomChoice):
     """Primitives between evaluations; a twentieth of the budget by default."""
     eval_episodes: int = 5
     """Episodes in an evaluation."""
-    batch: int | None = None
+    num_envs: int | None = None
     """Number of copies of the room on the batched engine; for the agents of `hrl-escape list batched`."""
     device: str = "cpu"
-    """Device of copies and networks, such as cuda; with --batch."""
+    """Device of copies and networks, such as cuda; with --num-envs."""
     compile: bool = False
-    """Compile the step of the copies: half a minute once, then several times as fast; with --batch."""
+    """Compile the step of the copies: half a minute once, then several times as fast; with --num-envs."""
     out: Path | None = None
     """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED-HASH by default."""
     tensorboard: bool = False
@@ -101,13 +101,13 @@ class TrainArgs(AgentChoice, RoomChoice):
 
     def make_batch(self, spec: AgentSpec, rooms: NamedRooms) -> VectorEnv | ManyEnvs:
         """Make copies of the room, or of the rooms of a set, for training."""
-        assert self.batch is not None
+        assert self.num_envs is not None
         given = list_batch_arguments(rooms)
         observation = self.choose_observation(spec)
         if spec.low_level is not None or not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
-            flat = EscapeRoomVectorEnv(self.batch, **given, observation=observation, output="torch",
+            flat = EscapeRoomVectorEnv(self.num_envs, **given, observation=observation, output="torch",
                                        device=self.device, compile=self.compile)
             if spec.low_level is None:
                 return flat
@@ -115,13 +115,13 @@ class TrainArgs(AgentChoice, RoomChoice):
 
             return HierarchyVectorEnv(flat, find_kind(spec.name), spec.low_level)
         from hrl_escape.options.batched.env import BatchedOptionsEnv
-        from hrl_escape.options.memory import MemoryStreams
+        from hrl_escape.options.memory import VectorDecisionMemory
 
         gamma = spec.resolve_settings()["gamma"]
-        options = BatchedOptionsEnv(self.batch, **given, observation=observation, discount=gamma,
+        options = BatchedOptionsEnv(self.num_envs, **given, observation=observation, discount=gamma,
                                     include_primitives=spec.options.include_primitives,
                                     option_set=spec.options.option_set, device=self.device, compile=self.compile)
-        return MemoryStreams(options) if spec.options.memory else options
+        return VectorDecisionMemory(options) if spec.options.memory else options
 
 
 def run(args: TrainArgs) -> None:
@@ -154,8 +154,8 @@ def run(args: TrainArgs) -> None:
     out = args.out or Path("runs") / f"{name}-{{key}}"
     recorder: StateRecorder | None = None
     player: Agent | None = None
-    if args.batch is None:
-        refuse_options(args, ("compile", "device"), "is for many copies of the room: give --batch N too; one room is "
+    if args.num_envs is None:
+        refuse_options(args, ("compile", "device"), "is for many copies of the room: give --num-envs N; one room is "
                        "stepped by Bullet, on the CPU")
         env, recorder = make_agent_env(spec, rooms, args.choose_observation(spec))
         player = make_player(spec, env, recorder) if spec.name == TEXT_AGENT else None

@@ -6,7 +6,7 @@ from .domain import OptionDomain
 from .execution import TraceStep
 from .learned import LearnedOption, make_learned_options
 from .masked_observation import MaskedObservation
-from .memory import DecisionMemory, MemoryStreams
+from .memory import DecisionMemory, VectorDecisionMemory
 from .meta_actions import PlannedOption, make_meta_options
 from .option import FunctionOption, Option, ScriptedOption, TableOption
 from .option_sets import register_option_set
@@ -21,7 +21,7 @@ __all__ = [
     "FunctionOption",
     "LearnedOption",
     "MaskedObservation",
-    "MemoryStreams",
+    "VectorDecisionMemory",
     "Option",
     "OptionDegradation",
     "OptionDomain",

@@ -178,7 +178,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         return self._memory.remember(observation[None])[0], reward, terminated, truncated, info
 
 
-class MemoryStreams:
+class VectorDecisionMemory:
     """Adds the memory of `DecisionMemory` to many rooms; each decides at its own pace.
 
     Args:

@@ -8,7 +8,7 @@ from studies.publishing import Rules
 
 STUDIES = ("marks",)
 RISEN = ("marks-2/words", "marks-2/motifs", "marks-3/deceived", "marks-4/rules")
-"""Sets in which efficiency is shown to rise by 0.2 from 16 to 1,000 training rooms."""
+"""Sets with a significant rise of efficiency by 0.2 from 16 to 1,000 training rooms."""
 
 
 def do_all_beat_search(numbers: Any) -> bool:

@@ -14,14 +14,14 @@ BACKUP = ("smdp-fitted-q", "smdp-iql", "smdp-cql", "smdp-sharsa")
 
 
 def do_options_help(numbers: Any) -> bool:
-    """Both learners of values do better over options than over primitives, and Q-iteration gains most."""
+    """Both value-based learners do better over options than over primitives, and Q-iteration gains most."""
     gains = numbers.offline.horizon
     return all(gain.sign > 0 for gain in gains.values()) and gains["smdp-fitted-q"].mean == max(
         gain.mean for gain in gains.values())
 
 
 def do_values_stitch(numbers: Any) -> bool:
-    """Cut trajectories cost those that imitate, and no learner of values loses significantly."""
+    """Cut trajectories cost imitation learners, and no value-based learner loses significantly."""
     gains = numbers.offline.stitching
     return all(gains[agent].sign > 0 for agent in CUT) and all(
         gains[agent].sign == 0 and gains[agent].high < 0.1 for agent in BACKUP)

@@ -40,7 +40,7 @@ def do_verdicts_stand(numbers: Any) -> bool:
 
 
 def does_chance_settle(numbers: Any) -> bool:
-    """Random choices pass the tests of claims 1, 2 and 9, and fail that of claim 6."""
+    """Random choices pass the tests of claims 1, 2 and 9, and fail the test of claim 6."""
     settled = {number: claim.by_chance for number, claim in enumerate(numbers.paper.claims, 1)
                if claim.by_chance is not None}
     return settled == {1: True, 2: True, 6: False, 9: True}

@@ -25,7 +25,7 @@ def do_too_few_parents_fail(numbers: Any) -> bool:
 
 
 def does_more_cost(numbers: Any) -> bool:
-    """Nothing that is given in place of what holds saves primitives, and something costs some."""
+    """No replacement of the true condition or number of parents saves primitives, and some cost primitives."""
     signs = {cost.sign for (_, label), cost in numbers.scaling.costs.items() if label != HOLDS}
     return -1 not in signs and 1 in signs
 

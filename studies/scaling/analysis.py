@@ -170,7 +170,7 @@ def analyse(study: Study, lines: Sequence[ScalingRun]) -> Findings:
               own.whole, f"{own.median:,.0f}"] for task, both in bar.items() for place, own in enumerate(both)]),
          "given": make_table(["rule", "condition, parents", "whole graph", "primitives more"], [
              [f"`{rule}`", f"`{label}`", f"{whole} of {made}",
-              format_interval(costs[rule, label], "+,.0f") if (rule, label) in costs else "what holds"]
+              format_interval(costs[rule, label], "+,.0f") if (rule, label) in costs else "true values"]
              for (rule, label), (whole, made) in given.items()])},
         {"scaling": lambda theme: draw(escapes, theme)})
 

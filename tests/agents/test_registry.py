@@ -220,6 +220,7 @@ print(result.settings, result.evaluations[-1].lengths)
 """
 
 
+@pytest.mark.nightly
 def test_a_strangers_agent_arrives_through_its_entry_point(tmp_path):
     (tmp_path / "stranger.py").write_text(STRANGER)
     info = tmp_path / "stranger-1.0.dist-info"

@@ -1,17 +1,19 @@
 """Agent specs: one text means the same agent wherever an agent is named, and a label of version 0.3 never runs."""
 
+import dataclasses
 import pickle
 
+import cloudpickle
 import gymnasium
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrl_escape.agents import AgentSpec, make_agent, register_agent, train
+from hrl_escape.agents import Agent, AgentSpec, make_agent, register_agent, train
 from hrl_escape.agents.algorithms.dqn import DQN
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.old_specs import NEW_NAMES, convert_label
-from hrl_escape.agents.registry import agents, list_agents, list_hierarchy_agents, list_offline_agents
+from hrl_escape.agents.registry import agents, get_agent_class, list_agents, list_hierarchy_agents, list_offline_agents
 from hrl_escape.agents.spec import PARTS, REFERENCES, OptionsView
 from hrl_escape.agents.text_agent import TEXT_AGENT
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
@@ -58,6 +60,7 @@ VALUES = st.one_of(st.booleans(), st.integers(-10**6, 10**6), st.floats(allow_na
                    st.lists(st.integers(0, 99), max_size=3))
 
 
+@pytest.mark.nightly
 @given(name=st.sampled_from(NAMES_OF_LEARNERS), over_options=st.booleans(), settings=st.dictionaries(
     st.sampled_from(["gamma", "hidden", "network", "memory", "max_parents"]), VALUES), recipe=st.sampled_from(
         ["default", "patient", "keras-rl-2019"]), low_level=st.sampled_from([None, "planned", "learned"]),
@@ -183,13 +186,35 @@ def test_a_class_and_an_instance_are_specs_of_their_names():
     class Own(QLearning):
         pass
 
-    with pytest.raises(AgentSettingsError, match="register_agent"):
-        AgentSpec.parse(Own)
     register_agent("own-learner", Own)
     try:
         assert AgentSpec.parse(Own) == AgentSpec.parse("own-learner")
     finally:
         agents.unregister("own-learner")
+
+
+def test_a_class_without_a_registered_name_gets_its_own_and_the_latest_definition_counts():
+    first, second = (type("Fresh", (QLearning,), {"__module__": __name__}) for _ in range(2))
+    clash = type("Clash", (QLearning,), {"name": "dqn"})
+    try:
+        assert AgentSpec.parse(first) == AgentSpec("Fresh") and get_agent_class("smdp-Fresh") is first
+        assert AgentSpec.parse(second) == AgentSpec("Fresh") and get_agent_class("Fresh") is second
+        with pytest.raises(AgentSettingsError, match="no other agent has.*register_agent"):
+            AgentSpec.parse(clash)
+        with pytest.raises(AgentSettingsError, match="defines act, act_greedy, observe too"):
+            AgentSpec.parse(Agent)
+    finally:
+        agents.unregister("Fresh")
+
+
+def test_a_class_travels_with_its_spec_to_a_process_that_lacks_it():
+    spec = AgentSpec.parse(type("Traveller", (QLearning,), {"__module__": "__main__"}))
+    packed = cloudpickle.dumps(dataclasses.replace(spec, name="smdp-Traveller", label=""))
+    agents.unregister("Traveller")
+    try:
+        assert pickle.loads(packed).name == "smdp-Traveller" and issubclass(get_agent_class("Traveller"), QLearning)
+    finally:
+        agents.unregister("Traveller")
 
 
 def test_train_takes_specs_where_the_environment_agrees():

@@ -162,6 +162,7 @@ def craft_archive(parts: dict[str, bytes], packed: bytes, run: Path, chance: ran
     return (folder / "crafted.zip").read_bytes()
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 @pytest.mark.parametrize("count", [50, pytest.param(1_000, marks=pytest.mark.slow)])
 def test_crafted_archives_neither_run_nor_write(run, packed, manifest, tmp_path, monkeypatch, count):

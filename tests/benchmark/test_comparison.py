@@ -196,6 +196,7 @@ def strangers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]
     find_versions.cache_clear()
 
 
+@pytest.mark.nightly
 @pytest.mark.usefixtures("strangers")
 def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     """One raises, one crashes its interpreter, one diverges; all are strangers' or settings' faults."""
@@ -232,6 +233,7 @@ def test_a_failed_run_is_tried_again_the_next_time(finished: Comparison, tmp_pat
     assert not again.failures and again.runs[0][1] == finished.runs[0][1]
 
 
+@pytest.mark.nightly
 def test_a_damaged_result_is_made_again_from_its_run(finished: Comparison, tmp_path: Path):
     grid = change(agents=SMALL.agents[3:], runs=1)
     first = run_quietly(grid, tmp_path)
@@ -311,6 +313,7 @@ def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: P
         write_report(comparison, "hrl-escape compare")
 
 
+@pytest.mark.nightly
 def test_parts_are_disjoint_resumable_and_together_the_whole(tmp_path: Path):
     grid = change(agents=("random-options", "oracle"), runs=2, primitives=60, eval_every=60, eval_episodes=1)
     runs = grid.make_runs(grid.make_places())

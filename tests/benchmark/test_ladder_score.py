@@ -58,6 +58,7 @@ def test_agents_are_scored_over_the_rungs_that_all_were_run_on():
     assert score_standings([both[1], *alone]) == ([], {}), "nothing to compare"
 
 
+@pytest.mark.nightly
 def test_learned_share_is_0_for_the_best_search_baseline_1_for_who_knows_the_room_configuration_and_less_for_less():
     assert compute_learned_share(0.9, 0.7, 0.95) == pytest.approx(0.8)
     assert compute_learned_share(0.6, 0.7, 0.95) == pytest.approx(-0.4)

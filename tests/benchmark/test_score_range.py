@@ -100,6 +100,7 @@ def test_what_planners_found_is_kept_for_other_runs_and_a_damaged_file_is_made_a
         assert compute_score_range(STARTS, AgentSpec("dqn"), tmp_path) == found, damaged
 
 
+@pytest.mark.nightly
 def test_a_run_that_beats_the_best_known_return_raises_it(tmp_path, monkeypatch):
     (finished, result), = run_quietly(change(agents=(SWEEP,), runs=1, primitives=200), tmp_path).runs
     instance, = (RoomInstance.load(path) for path in (tmp_path / "rooms").glob("*.json"))

@@ -23,6 +23,7 @@ from tests.text.rooms import get_room, play_manager
 UNTRIED = AgentSpec(name="text-agent", label="text", settings={"model": "search-random", "reveal": "names"})
 
 
+@pytest.mark.nightly
 def test_it_scores_what_the_search_baseline_scores_whose_choices_it_makes():
     found = []
     for spec in (AgentSpec("search-random"), UNTRIED, AgentSpec("text-agent", settings={"model": "random"})):

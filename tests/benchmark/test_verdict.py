@@ -42,6 +42,7 @@ def test_options_that_help_and_what_learners_make_of_them_are_told_apart():
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("baseline", "adds"), [(CHANCE, True), (GOOD, False), (runs(*[90] * 10), False)])
 def test_that_learning_adds_is_said_of_who_beats_the_search_baseline(baseline, adds):
     said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "search-nearest": baseline})
@@ -55,6 +56,7 @@ def test_learning_that_adds_nothing_is_not_praised():
     assert any("Best learner against it: no significant difference; `smdp-dqn`" in text for text in said["finding"])
 
 
+@pytest.mark.nightly
 def test_a_learner_worse_than_chance_is_named():
     said = judge({"random-options": CHANCE, "smdp-dqn": GOOD, "smdp-sarsa": runs(*[-500] * 10)})
     assert "`smdp-sarsa` ends below choosing at random." in said["finding"]
@@ -63,6 +65,7 @@ def test_a_learner_worse_than_chance_is_named():
     assert any("No learner matches it" in text for text in said["finding"])
 
 
+@pytest.mark.nightly
 def test_options_that_do_not_help_are_said_not_to():
     said = judge({"dqn": GOOD, "random-options": CHANCE, "smdp-dqn": CHANCE})
     assert said["finding"][0].startswith("Options do not help here: `dqn` is more efficient than `smdp-dqn` by 0.04 (")
@@ -100,6 +103,7 @@ def test_with_fewer_than_ten_runs_there_are_estimates_and_no_verdict():
     assert judge({"dqn": NEVER, "smdp-dqn": GOOD})["headline"][0].startswith("`smdp-dqn` is best")
 
 
+@pytest.mark.nightly
 def test_no_interval_without_width_is_printed():
     """Ten equal differences have no spread to estimate an interval from."""
     said = judge({"dqn": runs(*[50] * 10), "smdp-dqn": runs(*[90] * 10), "random-options": NEVER})
@@ -135,6 +139,7 @@ def test_speed_counts_runs_that_never_escape_at_the_budget():
             "primitives (3 of 4 runs escape).") in said["finding"]
 
 
+@pytest.mark.nightly
 def test_who_is_told_how_rooms_are_drawn_is_no_bar():
     learned = runs(60, 61, 62, 62, 62, 62, 62, 63, 63, 64)
     agents = {"search-nearest": CHANCE, "bayes": GOOD, "smdp-dqn": learned}
@@ -183,6 +188,7 @@ def test_cautions(agents: dict, caution: str):
     assert any(text.startswith(caution) for text in judge(agents)["caution"])
 
 
+@pytest.mark.nightly
 def test_ten_clean_runs_beside_chance_need_no_caution():
     ten = runs(*range(80, 90))
     assert judge({"random-options": ten, "search-random": ten, "smdp-dqn": ten})["caution"] == []

@@ -33,6 +33,7 @@ def run(capsys, *arguments: object) -> tuple[int, str, str]:
     return call_script(capsys, "benchmarks.batch", *arguments)
 
 
+@pytest.mark.nightly
 def test_it_measures_our_batches_beside_others_in_one_run(capsys, tmp_path):
     plot = tmp_path / "batch.png"
     code, out, _ = run(capsys, *QUICK, "--scenes", "paper-two-button", "ten-obstacles-by-hand", "--json",
@@ -92,6 +93,7 @@ def test_no_batch_is_above_its_arithmetic_bound(walls):
     assert all(one.summarise(bandwidth=1e11)["share_of_arithmetic_bound"] <= 1.0 + 1e-9 for one in batches)
 
 
+@pytest.mark.nightly
 def test_the_table_says_what_the_numbers_are(capsys):
     code, out, _ = run(capsys, *QUICK, "--scenes", "bit-flip", "--no-peers")
     assert code == 0

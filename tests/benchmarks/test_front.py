@@ -45,6 +45,7 @@ def test_every_benchmark_prints_its_help_and_exits(name):
     assert "usage" in done.stdout or "pip install" in done.stderr
 
 
+@pytest.mark.nightly
 def test_a_mistake_in_a_process_of_its_own_is_one_line_and_exit_code_2():
     done = subprocess.run([sys.executable, "-m", "benchmarks.env", "--presets", "cluter"], cwd=ROOT,
                           capture_output=True, text=True)

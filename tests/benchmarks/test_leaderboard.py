@@ -100,6 +100,7 @@ def test_a_damaged_result_file_is_named(tmp_path):
         load(tmp_path / "a.json")
 
 
+@pytest.mark.nightly
 def test_the_commands_run_and_check_a_program(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     make_bench().manifest.save("small.json")
@@ -139,6 +140,7 @@ for line in sys.stdin:
 """
 
 
+@pytest.mark.nightly
 def test_a_program_reads_observations_and_masks_and_nothing_else(tmp_path, monkeypatch):
     monkeypatch.setenv("SECRET", "hidden from programs")
     folder = write_program(tmp_path / "own", LISTENER.replace("PATH", repr(str(tmp_path / "seen.json"))))
@@ -158,6 +160,7 @@ def test_a_program_reads_observations_and_masks_and_nothing_else(tmp_path, monke
     env.close()
 
 
+@pytest.mark.nightly
 def test_a_program_that_is_not_trusted_is_not_started(tmp_path):
     made = make(get_rung(), PYTHON, write_program(tmp_path / "it", ANSWER), rooms=1)
     dataclasses.replace(made, command=("touch", str(tmp_path / "ran"))).save(tmp_path / "it.json")

@@ -78,6 +78,7 @@ def test_everything_that_plans_is_a_contender():
     assert sum(row.reached for row in rows) >= len(rows) - 1
 
 
+@pytest.mark.nightly
 def test_a_bare_path_has_no_primitives_but_a_length_and_a_time():
     rows = measure(make_queries("10 obstacles", range(1), 3), (FIELDS, "RRTstar-path"))
     for fields, path in zip(rows[::2], rows[1::2], strict=True):
@@ -86,6 +87,7 @@ def test_a_bare_path_has_no_primitives_but_a_length_and_a_time():
         assert path.seconds > path.metres and fields.seconds > fields.metres, "at 1 m/s at most"
 
 
+@pytest.mark.nightly
 def test_a_room_costs_more_at_first_and_least_for_a_goal_that_it_knows():
     queries = make_queries("places, 10 obstacles", range(1), 5)
     assert len({query.goal for query in queries}) == 5 and all(query.other != query.goal for query in queries)

@@ -62,6 +62,7 @@ def test_episodes_that_end_inside_a_macro_are_worth_two_orders_of_magnitude():
     assert walk_with_macros(CORNER, past=True) == pytest.approx(walk_with_macros(CORNER, past=False))
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("goal", [EDGE, CORNER])
 def test_a_run_of_the_walk_lasts_as_long_as_computed(goal):
     rng = np.random.default_rng(0)

@@ -128,6 +128,7 @@ def move_as_told(cell, direction, slip, rng):
     return rng.choice(GRID.list_neighbours(there)) if moved_on else there
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("slip", SLIPS)
 def test_slips_are_as_told(slip):
     rng = np.random.default_rng(0)
@@ -163,6 +164,7 @@ def test_each_room_has_an_option_to_each_of_its_hallways(slip):
         np.testing.assert_array_equal(option.termination, ~option.initiation)
 
 
+@pytest.mark.nightly
 def test_without_slip_hallway_options_take_shortest_paths():
     distances = compute_distances()
     for option in make_hallway_options("none"):

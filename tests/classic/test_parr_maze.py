@@ -74,6 +74,7 @@ def test_hallway_options_come_to_their_intersection(maze):
             assert quiet.find_intersection(quiet.state.number) == target
 
 
+@pytest.mark.nightly
 def test_going_hallway_by_hallway_costs_a_few_steps(maze):
     tables = maze.make_tables()
     options = maze.make_hallway_options()

@@ -100,6 +100,7 @@ def test_a_fickle_passenger_changes_once_on_the_first_step_away(noisy):
 # --- optima ----------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "noisy, anywhere, mean, least, most, steps",
     [
@@ -159,6 +160,7 @@ def test_a_change_of_mind_costs_nothing_but_way(noisy):
 # --- the price of the task graph -------------------------------------------------------
 
 
+@pytest.mark.nightly
 @DYNAMICS
 def test_the_task_graph_costs_nothing_for_a_steady_passenger(noisy):
     tables, values = solve(noisy, False)
@@ -166,6 +168,7 @@ def test_the_task_graph_costs_nothing_for_a_steady_passenger(noisy):
     np.testing.assert_allclose(solution.values["root"], values, atol=1e-8)
 
 
+@pytest.mark.nightly
 @DYNAMICS
 def test_the_task_graph_costs_a_fickle_passenger_his_detour_which_polling_avoids(noisy):
     """A navigation once begun goes to its end, though the destination has changed."""
@@ -179,6 +182,7 @@ def test_the_task_graph_costs_a_fickle_passenger_his_detour_which_polling_avoids
     assert values @ tables.starts - 0.01 < polled < values @ tables.starts + 1e-9
 
 
+@pytest.mark.nightly
 @DYNAMICS
 def test_the_nested_policy_earns_its_value_when_run_as_a_stack(noisy):
     tables, _ = solve(noisy, True)

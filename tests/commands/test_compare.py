@@ -44,6 +44,7 @@ def test_sets_of_rooms_take_the_place_of_rooms():
     assert (list(place.split.train.seeds), list(place.split.test.seeds)) == ([0, 1, 2, 3], [4, 5])
 
 
+@pytest.mark.nightly
 def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, tmp_path: Path):
     words = ("compare", "--agents", "random-options", "oracle", "--room", "paper-two-button", "--runs", "1",
              "--primitives", "40", "--eval-episodes", "1", "--workers", "1", "--out", tmp_path)

@@ -64,6 +64,7 @@ def plant(monkeypatch, folder, name, content, decisions):
     monkeypatch.setattr("hrl_escape.data.published.PUBLISHED", table)
 
 
+@pytest.mark.nightly
 def test_a_recording_is_told_to_be_the_published_recording_or_refused_for_what_differs(capsys, folder, monkeypatch):
     recording = load_data(NAME, observation="features").recording
     (folder / "data" / f"{NAME}.npz").unlink()
@@ -123,6 +124,7 @@ def test_what_is_loaded_by_a_published_name_and_is_another_says_so(capsys, folde
         load_data(NAME, observation="features")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("asked", ["800", "1500"])
 def test_a_trial_is_warned_of_whether_shorter_or_longer_than_its_name_says(capsys, folder, monkeypatch, asked):
     path = folder / "data" / f"{NAME}.npz"
@@ -162,6 +164,7 @@ def test_a_recording_of_equal_counts_and_another_content_says_so(capsys, folder,
         load_data(NAME, observation="features")
 
 
+@pytest.mark.nightly
 def test_the_table_of_published_recordings_is_read_once(capsys, folder, monkeypatch):
     """A table that is gone after the first look serves recordings of several names."""
     plant(monkeypatch, folder, NAME, load_recording(folder / "data" / f"{NAME}.npz").content, 1)

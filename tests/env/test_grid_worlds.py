@@ -335,6 +335,7 @@ def test_puddle_world_is_the_published_square_and_its_values_are_those_of_the_do
     assert shortest.cost == 22 and shortest.compute_return() < between < -22, "the shortest way wades"
 
 
+@pytest.mark.nightly
 def test_all_starts_of_puddle_world_are_outside_the_corner():
     room = generate(get_preset("puddle-world"), 0)
     assert len(room.starts) == 441 - 9

@@ -195,6 +195,7 @@ def test_one_id_has_the_same_observations_for_one_room_and_for_many(name):
     assert one.action_space == many.single_action_space
 
 
+@pytest.mark.nightly
 def test_rooms_of_a_ladder_with_options_are_a_vector_environment():
     many = gymnasium.make_vec("hrl_escape/Ladder-v1", num_envs=2, options={"include_primitives": False}, slice="0..2")
     one = gymnasium.make("hrl_escape/Ladder-v1", options={"include_primitives": False}, slice="0..2")

@@ -123,6 +123,7 @@ def test_both_engines_agree_over_100_000_primitives():
     assert found.primitives == 100_000 and not found.disagreements, found.disagreements[0]
 
 
+@pytest.mark.nightly
 def test_both_engines_agree_along_an_escape_and_on_what_is_seen():
     """Random play opens few doors: a plan opens all that it needs, and lidar looks through them."""
     room = make_room()

@@ -121,6 +121,7 @@ def test_bounds_have_the_shape_and_type_of_what_is_observed():
         assert seen.dtype == observer.low.dtype and (observer.low <= seen).all() and (seen <= observer.high).all()
 
 
+@pytest.mark.nightly
 def test_the_registry_loads_no_torch_and_no_engine():
     script = ("import sys, hrl_escape.env.observations, hrl_escape.env.observations.base, hrl_escape.env.engine\n"
               "print([name for name in ('torch', 'pybullet', 'matplotlib') if name in sys.modules])")

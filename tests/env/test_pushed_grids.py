@@ -194,6 +194,7 @@ def test_both_engines_agree_where_boxes_are_pushed(size, boxes):
     assert found.worst == 0.0
 
 
+@pytest.mark.nightly
 def test_both_engines_agree_along_an_escape():
     room = generate(get_preset("sokoban", rows=MICROBAN[33]), 0)
     rules, batch = Kinematics(room), TensorRoom(Rooms(instance=room), autoreset="disabled")
@@ -359,6 +360,7 @@ def test_key_chest_has_the_domains_values():
     assert 3.0 < mine[numbers[domain.encode((domain.start, 0))]] < 6.0
 
 
+@pytest.mark.nightly
 def test_both_engines_agree_on_key_chest_and_the_planner_takes_the_fewest_moves():
     room = generate(get_preset("key-chest"), 0)
     check_puzzle(room.puzzle)

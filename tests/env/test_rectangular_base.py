@@ -343,6 +343,7 @@ def test_plans_come_true_and_are_no_shorter_than_their_bounds(method):
             assert min(measure_gap(planner.rules, s) for s in plan.states) > 1e-3 - 1e-7
 
 
+@pytest.mark.nightly
 def test_paths_of_poses_are_free_all_along_and_lead_through_a_doorway_that_is_narrower_than_the_base_is_long():
     room = generate(NARROW, 2)
     navigator, rules = Navigator(room), Kinematics(room)

@@ -104,6 +104,7 @@ def test_one_text_pays_the_same_in_a_room_and_in_a_batch(preset, reward):
     assert ended[-1][1], "the plan escapes"
 
 
+@pytest.mark.nightly
 def test_an_escape_and_a_failure_pay_alike_in_a_room_and_in_a_batch():
     config = make_config("paper-two-button", EverythingReward())
     _, plan = escape(config)
@@ -130,6 +131,7 @@ def _fails(planner, start, name):
     return planner.instance.puzzle.is_failed(plan.states[-1].puzzle)
 
 
+@pytest.mark.nightly
 def test_velocities_pay_the_share_of_a_step_and_the_extra_of_events():
     config = make_config("paper-two-button", PotentialReward(weight=8.0, gamma=1.0))
     single = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", config=config)
@@ -200,6 +202,7 @@ def test_wrong_rewards_are_refused_by_name():
             hrl_escape.RoomConfig.from_dict(table | {"reward": reward})
 
 
+@pytest.mark.nightly
 def test_the_command_line_names_a_reward_and_its_fields(capsys, tmp_path):
     path = tmp_path / "room.json"
     assert main(["room", "--set", "reward.kind=potential", "reward.weight=4", "--save", str(path)]) == 0

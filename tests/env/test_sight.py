@@ -40,6 +40,7 @@ def test_rays_end_on_the_first_outline_they_meet(some, px, py):
             assert compute_distance_many(end, stack_footprints(some))[0] < 1e-6
 
 
+@pytest.mark.nightly
 @given(st.lists(shapes, min_size=1, max_size=5), numbers, numbers, numbers, numbers)
 def test_a_point_is_in_sight_if_nothing_lies_on_the_way(some, x, y, to_x, to_y):
     assume(all(compute_distance(*at, shape) > 1e-3 for shape in some for at in ((x, y), (to_x, to_y))))

@@ -40,6 +40,7 @@ def test_distances_are_those_of_the_scalar_geometry(some, x, y):
     assert found.tolist() == [pytest.approx(geometry.compute_distance(x, y, one), abs=1e-12) for one in some]
 
 
+@pytest.mark.nightly
 @given(outlines, numbers, numbers, st.floats(0.05, 1.5), st.floats(0, math.tau), st.floats(0.01, 8))
 def test_first_contact_is_that_of_the_scalar_geometry(outline, x, y, radius, direction, length):
     dx, dy = length * math.cos(direction), length * math.sin(direction)
@@ -57,6 +58,7 @@ def test_first_contact_is_that_of_the_scalar_geometry(outline, x, y, radius, dir
         assert abs(meet(x, y, dx, dy, radius, outline, single=True) - expected) < 1e-3
 
 
+@pytest.mark.nightly
 @given(outlines, st.floats(0, math.tau), st.floats(0.05, 1.5), st.floats(0, math.tau), st.floats(0.1, 3))
 def test_a_resting_disc_is_stopped_only_if_it_moves_inwards(outline, side, radius, direction, length):
     x, y = outline.x + 20 * math.cos(side), outline.y + 20 * math.sin(side)
@@ -71,6 +73,7 @@ def test_a_resting_disc_is_stopped_only_if_it_moves_inwards(outline, side, radiu
         assert found * -ahead / 1e-4 < most if ahead < 0 else found == 1.0  # metres that it moves inwards
 
 
+@pytest.mark.nightly
 @given(st.floats(-10, 10), st.floats(0.3, 10), st.floats(0.05, 1.5), st.floats(0.1, 3))
 def test_a_disc_passes_flush_under_the_end_of_a_wall(y, half, radius, length):
     wall = make_footprint(-2.56, y, half, 0.1, math.pi / 2)
@@ -94,6 +97,7 @@ def test_shapes_that_fill_a_table_up_are_met_by_nothing():
     assert fractions[:, 0].tolist() == [pytest.approx(0.35, abs=1e-6), 1.0]
 
 
+@pytest.mark.nightly
 @given(st.lists(outlines, min_size=1, max_size=4), numbers, numbers)
 def test_rays_are_those_of_the_scalar_geometry(some, x, y):
     assume(all(geometry.compute_distance(x, y, one) > 1e-3 for one in some))

@@ -127,6 +127,7 @@ def test_xacro_is_refused_and_expansion_named(tmp_path: Path, change, words):
 # --- shapes ----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["package://nothing/there.stl", "gone.obj", "rock.glb"])
 def test_a_link_without_its_visual_mesh_is_drawn_by_its_collision_shape(tmp_path: Path, name: str):
     write(tmp_path / "rock.glb", "glTF")

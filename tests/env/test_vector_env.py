@@ -48,6 +48,7 @@ def test_make_vec_gives_the_batched_engine_for_every_preset(name):
     env.close()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_it_does_what_gymnasiums_own_vector_of_rooms_does(mode):
     instance = short_room(horizon=12)

@@ -120,6 +120,7 @@ def test_a_base_is_known_by_its_entry_point(tmp_path: Path):
     assert done.stdout == "a diamond of 1 m\n", done.stderr
 
 
+@pytest.mark.nightly
 def test_a_rung_is_frozen_shown_and_played_from_its_file(tmp_path: Path):
     shutil.copy(ROOT / "examples/extend/own-ladder.json", tmp_path)
     frozen = run_module("benchmarks.ladder", "freeze", "own-ladder.json", cwd=tmp_path,

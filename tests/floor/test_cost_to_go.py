@@ -80,6 +80,7 @@ def test_a_shut_door_holds_nobody_who_stands_in_it():
     assert 200 < sum(held) < 1800
 
 
+@pytest.mark.nightly
 def test_representative_places_are_free_and_doorways_are_not_lost():
     config = RoomConfig(room=ShapeConfig(rooms=4, doorway_width=1.6), robot=RobotConfig(body_radius=0.5))
     rules, maker = make_maker(config, 2)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.benchmark.verdict import write_verdict
 from tests.benchmark.small import OneProcess, change, run_quietly
 
 
+@pytest.mark.nightly
 def test_a_comparison_runs_them_and_names_what_they_are_told(tmp_path: Path):
     grid = change(agents=("maxq-q+planned", "hamq+learned"), runs=1, primitives=100, eval_every=100)
     comparison = run_quietly(grid, tmp_path, OneProcess())

@@ -270,6 +270,7 @@ def test_a_situation_is_read_back_from_its_observation(preset):
         assert read.is_open == env.instance.puzzle.is_solved(state.puzzle)
 
 
+@pytest.mark.nightly
 def test_a_folder_brings_back_agent_and_hierarchy(tmp_path):
     env = make_env(TINY, "ham")
     result = train("hamq", env, primitives=200, eval_episodes=1, out=tmp_path / "run", progress=False)

@@ -31,7 +31,7 @@ MUTATIONS = [
     Mutation("a resumed run makes only the last action of its episodes again",
              "agents/training/many_envs.py::VectorManyEnvs.load_state_dict",
              'for actions in np.asarray(state["made"]):', 'for actions in np.asarray(state["made"])[-1:]:',
-             "agents/training/test_streams.py::test_a_run_cut_off_resumes_to_the_same_bits"),
+             "agents/training/test_many_envs.py::test_a_run_cut_off_resumes_to_the_same_bits"),
     Mutation("a run's folder runs whatever code it names", "agents/training/env_description.py::find_part",
              "if known == name), None)", "if known == name), lambda: resolve_name(name))",
              "agents/training/test_hostile_runs.py"),
@@ -49,9 +49,9 @@ MUTATIONS = [
              "test_masks_are_those_of_the_copies_that_give_one_in_each_kind_of_reset"),
     Mutation("a wrapper above a batch of rooms is bypassed", "agents/training/many_envs.py::make_many_envs",
              "    inner: Any = env\n"
-             '    if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_streams")):',
+             '    if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_many_envs")):',
              "    inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env\n"
-             '    if isinstance(env, VectorEnv) and not hasattr(inner, "get_streams"):',
+             '    if isinstance(env, VectorEnv) and not hasattr(inner, "get_many_envs"):',
              "agents/training/test_vector_rewards.py::"
              "test_a_wrapper_above_a_batch_of_rooms_with_options_is_stepped_through"),
     Mutation("bootstrapping with gamma^1", "agents/agent.py::make_transition",

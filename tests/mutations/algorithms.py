@@ -6,7 +6,7 @@ MUTATIONS = [
     Mutation("sarsa in many environments values the best action", "agents/algorithms/sarsa.py::Sarsa.compute_targets",
              "(weights * self.values.target(batch.next_observation)).sum(dim=1)",
              "self.values.target(batch.next_observation).max(dim=1).values",
-             "agents/components/test_stream_replay.py::"
+             "agents/components/test_many_env_replay.py::"
              "test_values_of_decisions_of_any_duration_are_exact_in_many_environments_at_once"),
     Mutation("an option shrinks rainbow's support as one primitive does", "agents/algorithms/rainbow.py::project",
              "bootstrap[:, None] * support", "(bootstrap[:, None] > 0) * support",

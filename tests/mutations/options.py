@@ -64,7 +64,7 @@ MUTATIONS = [
              "options/test_plain_envs.py::test_a_masked_option_costs_the_first_legal_primitive"),
     Mutation("a room's memory outlives its episode in a batch", "options/memory.py::_Memories.begin",
              "        self._used = where(which, 0, self._used)\n", "",
-             "options/test_memory_streams.py::test_every_room_remembers_its_own_decisions"),
+             "options/test_vector_decision_memory.py::test_every_room_remembers_its_own_decisions"),
     Mutation("a batch takes a grip that slipped for one that was done", "options/batched/stepping.py::step_decisions",
              "(primitive == act) & has_acted(layout, fields.aims, goal, state, after)", "primitive == act",
              "options/batched/test_grips.py::test_a_slip_while_gripping_is_gripped_again"),

@@ -57,6 +57,7 @@ def test_a_lander_of_box2d():
     assert replayed.returns > 90, "every reward is another"
 
 
+@pytest.mark.nightly
 def test_a_lander_of_continuous_actions():
     replayed = compare_with_copy(lambda: make_lander(continuous=True), [
         Skill("brake", lambda seen: [min(1.0, -seen[3]), 0.0], lambda seen: not is_falling(seen)),

@@ -166,6 +166,7 @@ def test_options_for_exploration_leave_primitives_worth_what_they_are_and_act_by
     assert all(agent.act_greedy(cell, np.ones(12, np.bool_), rng) < 4 for cell in range(CELLS))
 
 
+@pytest.mark.nightly
 def test_values_of_options_count_in_backups_where_options_serve_all_and_nowhere_else():
     told = {}
     for options_serve in ("all", "exploration", "nothing"):

@@ -222,6 +222,7 @@ def test_the_machines_of_a_program_are_options_named_with_their_callers(driver):
         assert info["option"]["ended"] == ("reached" if read(observation).riding else "episode-over")
 
 
+@pytest.mark.nightly
 def test_a_program_run_in_parts_is_the_program(driver):
     agent, env = driver, Taxi(horizon=200)
     wrapped = OptionsEnv(Taxi(horizon=200), make_learned_options(agent, 6), trace=True)

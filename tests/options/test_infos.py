@@ -203,6 +203,7 @@ def test_torchrl_reads_durations_and_discounts_from_infos():
 # --- films --------------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_nine_primitives_give_nine_frames(tmp_path):
     """Besides the one of the reset. Frames are those of the room after each primitive."""
     small = {"render_size": (64, 48)}

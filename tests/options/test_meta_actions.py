@@ -263,6 +263,7 @@ def test_noise_and_slip_are_met_by_planning_anew(name, runs):
     assert ends["reached"] >= 0.99 * runs, ends
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("runs", [12, pytest.param(40, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("name", "seed", "dynamics"), [
     ("paper-two-button", 0, {"noise": 0.1, "slip": 0.1}),

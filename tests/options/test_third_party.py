@@ -135,6 +135,7 @@ def test_dqn_of_stable_baselines3_learns_smdp_targets_from_a_buffer_that_keeps_d
     assert model.logger.name_to_value["train/loss"] == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.nightly
 def test_maskable_ppo_of_sb3_contrib_chooses_by_the_mask_in_info():
     contrib = pytest.importorskip("sb3_contrib")
     from stable_baselines3.common.monitor import Monitor

@@ -214,6 +214,7 @@ def test_given_options_are_searched_by_running_them():
         best_return_with_options(instance, "pres")
 
 
+@pytest.mark.nightly
 def test_it_is_the_mean_over_the_starts():
     config = dataclasses.replace(get_preset("paper-one-button"), start=StartConfig(choices=5))
     instance = generate(config, 0)
@@ -231,6 +232,7 @@ def test_what_no_one_can_do_is_worth_the_horizon():
         assert best_known_return(dataclasses.replace(instance, horizon=horizon)) == value
 
 
+@pytest.mark.nightly
 def test_a_better_return_is_taken_over_and_said():
     instance = generate(get_preset("paper-two-button"), 0)
     start = make_start(instance)

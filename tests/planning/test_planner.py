@@ -465,6 +465,7 @@ def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
             assert answers[0] == answers[1]
 
 
+@pytest.mark.nightly
 def test_a_plan_names_the_search_that_found_it(planner, start):
     assert planner.solve(start).planner == "joint search"
     assert planner.plan(start, "3,-4").planner == "fields"
@@ -489,6 +490,7 @@ def test_a_place_on_a_large_floor_is_reached_round_a_path_and_targets_by_fields(
     assert plan.cost <= 1.1 * RoomPlanner(planner.instance, "fields").plan(start, place).cost
 
 
+@pytest.mark.nightly
 def test_planners_survive_pickling(planner, start):
     copy = pickle.loads(pickle.dumps(planner))
     assert copy.solve(start).primitives == planner.solve(start).primitives

@@ -36,6 +36,7 @@ def start(planner):
     return planner.rules.make_state(planner.instance.starts[0])
 
 
+@pytest.mark.nightly
 def test_an_answer_is_the_plan_of_plan_and_solve(planner, start):
     one = planner.answer(PlanningRequest(start, "press-button-2"))
     assert one.status == "reached" and one.plan is not None
@@ -130,6 +131,7 @@ def test_times_are_those_of_trapezoids_and_triangles_with_rounded_corners():
     assert result.cost == pytest.approx(compute_rest_to_rest(result.plan.cost, 1.0, 1.0, 10.0))
 
 
+@pytest.mark.nightly
 def test_improvement_is_monotone_reported_and_reaches_the_reference():
     instance = generate(get_preset("clutter"), 5)
     planner = RoomPlanner(instance)
@@ -240,6 +242,7 @@ def test_calls_of_one_planner_from_several_threads_are_those_of_one(planner, sta
         result.plan.primitives for result in map(RoomPlanner(planner.instance).answer, requests)]
 
 
+@pytest.mark.nightly
 def test_a_wall_of_solids_is_no_reason_for_less_clearance_than_the_plain_plan():
     """The way with clearance goes round a block that the plain plan grazes."""
     instance = generate(get_preset("paper-two-button"), 0)

@@ -21,6 +21,7 @@ def make_tasks(preset: str, seed: int):
     return TaskMotionPlanner(planner), planner.rules.make_state(planner.instance.starts[0])
 
 
+@pytest.mark.nightly
 def test_fast_downward_minimises_the_primitives_of_all_legs():
     """Beside every order of the puzzle's operators, costed by the same legs."""
     tasks, start = make_tasks("clutter", 3)
@@ -45,6 +46,7 @@ def test_fast_downward_minimises_the_primitives_of_all_legs():
     env.close()
 
 
+@pytest.mark.nightly
 def test_our_problem_goes_out_and_a_strangers_plan_comes_in():
     from unified_planning.shortcuts import OneshotPlanner
 

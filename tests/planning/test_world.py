@@ -124,6 +124,7 @@ def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
         World.of_mesh(path, ROBOT, (4.5, 8.5, 0.0))
 
 
+@pytest.mark.nightly
 def test_a_map_of_a_world_shows_no_exit(tmp_path):
     world = World.of([], RobotConfig(body_radius=0.3), (0.0, 0.0, 0.0), floor=(-2.0, 2.0, -2.0, 2.0))
     words = {}
@@ -137,6 +138,7 @@ def test_a_map_of_a_world_shows_no_exit(tmp_path):
     assert "exit" not in words["world"][0] | words["world"][1] and "robot" in words["world"][0]
 
 
+@pytest.mark.nightly
 def test_steps_tall_walls_and_slanted_ones_become_columns(tmp_path):
     step, sill, tower = (0.0, 1.0, 3.0, 4.0, 0.0, 0.02), (2.0, 3.0, 3.0, 4.0, 0.0, 0.03), (4.0, 5.0, 3.0, 4.0, 0.0, 3.0)
     path = write_mesh(tmp_path / "hall.obj", [HALL, step, sill, tower])
@@ -232,6 +234,7 @@ def test_impossible_worlds_are_refused(tmp_path):
         World.of([], ROBOT, (0.0, 0.0, 0.0), floor=(1.0, 0.0, 0.0, 1.0))
 
 
+@pytest.mark.nightly
 def test_goals_and_messages_of_ros_are_in_the_frame_of_the_map():
     """The floor's centre is at (2, 6)."""
     world = World.of([], ROBOT, (-1.0, 4.0, 0.5), floor=(-3.0, 7.0, 2.0, 10.0))

@@ -31,6 +31,7 @@ def test_relabelling_keeps_the_form(graph, data):
     assert compute_canonical_form(*graph) == compute_canonical_form(*relabel(*graph, label))
 
 
+@pytest.mark.nightly
 @given(graphs())
 def test_the_form_is_a_relabelling_of_the_graph(graph):
     colours, edges = compute_canonical_form(*graph)

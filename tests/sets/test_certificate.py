@@ -67,6 +67,7 @@ def test_a_training_room_planted_into_the_test_is_found():
         certify_rung(planted["one"])
 
 
+@pytest.mark.nightly
 def test_a_training_task_planted_into_the_tasks_held_out_is_found():
     bench = Benchmark(make_manifest())
     seeds = (*bench["five"].test_task.seeds[:3], bench["five"].test.seeds[0])

@@ -27,6 +27,7 @@ def test_every_set_of_every_benchmark_is_known():
                             for rooms in rung.sets.values()}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", QUICK)
 def test_a_frozen_set_names_the_rooms_of_version_0_3(name):
     assert describe(name) == KNOWN[name]

@@ -48,6 +48,7 @@ def test_goals_of_lights_out_are_sums_of_flips():
         assert sum(1 << i for i, on in enumerate(desired) if on) in reachable and desired.any()
 
 
+@pytest.mark.nightly
 def test_the_goal_ends_the_episode_and_the_reward_is_that_of_the_two_goals():
     env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False))
     ended = 0
@@ -94,6 +95,7 @@ def escape(env: gymnasium.Env, seed: int) -> list[tuple]:
     return steps
 
 
+@pytest.mark.nightly
 def test_the_exit_is_one_goal_whatever_is_lit_there():
     env = GoalsEnv(OptionsEnv(gymnasium.make("hrl_escape/FourButtonChain-v1"), include_primitives=False), exits=1.0)
     reached = 0

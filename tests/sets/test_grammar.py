@@ -26,6 +26,7 @@ def list_seeds(text):
     return list(find_set(text).seeds)
 
 
+@pytest.mark.nightly
 def test_presets_take_a_number_a_range_and_arguments():
     assert make_room("clutter") == generate(get_preset("clutter"), 0)
     assert make_room("clutter#3") == generate(get_preset("clutter"), 3)
@@ -69,6 +70,7 @@ def test_files_hold_a_room_a_set_or_a_configuration(tmp_path):
     assert list_seeds(f"{tmp_path}/mine.toml#2..4") == [2, 3]
 
 
+@pytest.mark.nightly
 def test_each_form_takes_changes(tmp_path):
     make_room("clutter").save(tmp_path / "room.json")
     changes = {"horizon": 77}
@@ -145,6 +147,7 @@ def test_a_range_is_lazy_however_long():
     tracemalloc.stop()
 
 
+@pytest.mark.nightly
 @given(some.text(some.sampled_from("clutter/ladder-1#*.0123456789x+()[]=, {}'\"\n"), max_size=60))
 def test_any_text_is_parsed_or_refused_in_one_message(text):
     try:
@@ -177,6 +180,7 @@ def test_make_env_takes_every_form():
         hrl_escape.make_env(3)
 
 
+@pytest.mark.nightly
 def test_make_vec_makes_a_batch_of_one_room_or_of_a_set():
     single = hrl_escape.make_vec("clutter#3", 2, observation="features")
     assert single.unwrapped.instances == (make_room("clutter#3"),)

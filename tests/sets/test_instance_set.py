@@ -114,6 +114,7 @@ def test_a_set_and_its_environment_survive_pickling(rooms):
     assert pickle.loads(pickle.dumps(env)).reset(seed=3)[1]["instance"] == env.reset(seed=3)[1]["instance"]
 
 
+@pytest.mark.nightly
 def test_a_batch_holds_every_room_of_the_set(rooms):
     batch = rooms.make_vec(64, observation="features")
     assert isinstance(batch, EscapeRoomVectorEnv)

@@ -71,6 +71,7 @@ def test_the_margin_has_no_borders():
     assert not all(hashes), "rounded places have borders at which a tenth of a metre makes a difference"
 
 
+@pytest.mark.nightly
 def test_points_are_paired_one_to_one():
     """Two near points of one name cannot both be the counterpart of one; held against every permutation."""
     chance = np.random.default_rng(0)

@@ -248,6 +248,7 @@ def find_motif(room):
     return RULES.find_motif(room.puzzle.marks, room.puzzle.edge_list, room.puzzle.goal)
 
 
+@pytest.mark.nightly
 def test_floors_that_repeat_have_one_motif_and_other_rooms():
     tower = repeat_set(SAME, 3)
     assert tower.paired and len({len(floor) for floor in tower.sets}) == 1 and len(tower.sets[0]) > 30

@@ -84,6 +84,7 @@ def test_a_real_run_is_kept_and_not_made_twice(tmp_path: Path):
     assert store.path.read_text() == text
 
 
+@pytest.mark.nightly
 def test_published_runs_count_as_made_unless_something_that_decides_them_has_changed():
     for line in {line.rung: line for line in open_store(STUDY, None).load()}.values():
         number = int(re.findall(r"#(\d+)$", line.rooms)[0])

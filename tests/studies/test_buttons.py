@@ -80,6 +80,7 @@ def test_a_ratio_of_runs_that_do_not_escape_is_refused():
 # --- real runs -------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_a_run_ends_with_its_first_escape():
     room = make_room(RoomKind("layered", 3, "ignore"), 15.0)
     run = run_once(SEARCHER, room, 3, 4, 2_000)
@@ -92,6 +93,7 @@ def test_a_run_ends_with_its_first_escape():
     assert run.first_escape < 500
 
 
+@pytest.mark.nightly
 def test_the_study_goes_on_and_stops_an_agent_that_never_escapes(tmp_path: Path):
     found = find_study("buttons")
     study = dataclasses.replace(found, data={**found.data, "sizes": [2, 3, 4], "budget": 60, "runs": 1})

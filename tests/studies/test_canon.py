@@ -108,6 +108,7 @@ def test_hierarchies_are_compared_with_their_flat_controls(usual_numbers: Any):
     assert not RULES["no-hierarchy-gains"](SimpleNamespace(canon=SimpleNamespace(controls=found)))
 
 
+@pytest.mark.nightly
 def test_a_learner_that_is_not_run_in_a_kind_is_measured_in_the_others():
     reach, unfit = "ladder-1/reach", ["hiro+learned", "hrac+learned"]
     lines = [run for run in make_lines(change(dict.fromkeys(unfit, 0.5)), (PAIR, reach))
@@ -211,6 +212,7 @@ def run(folder: Path, **changes: object):
     return study, args
 
 
+@pytest.mark.nightly
 def test_real_trials_are_kept_line_by_line(tmp_path: Path):
     study, args = run(tmp_path, agents=("q-learning",), trials=True)
     store = open_store(study, args.docs)
@@ -236,6 +238,7 @@ def test_real_runs_have_the_chosen_settings_and_are_not_made_twice(tmp_path: Pat
     assert store.path.read_text() == text
 
 
+@pytest.mark.nightly
 def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_others(tmp_path: Path):
     study, args = run(tmp_path, agents=(MODEL, "oracle"), kinds=(FIVE,), rooms=1)
     store = open_store(study, args.docs)
@@ -245,6 +248,7 @@ def test_a_learner_that_never_escaped_from_the_easiest_rooms_is_not_run_in_other
     assert {line.agent for line in store.load() if line.room.startswith(f"{FIVE}/test#")} == {"oracle"}
 
 
+@pytest.mark.nightly
 def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path: Path):
     study, args = run(tmp_path, agents=(MODEL, "smdp-dqn"), kinds=(PAIR,), rooms=2)
     assert "smdp-dqn" in study.data["slow"]["learners"]

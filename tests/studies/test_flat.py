@@ -181,7 +181,7 @@ def test_the_analysis_of_ppo_has_every_learner_and_counts_greedy_escapes():
 
 
 def test_the_first_update_is_where_a_run_s_settings_put_it():
-    assert count_untrained(FlatLearner("x", "ppo", {"stream_rollout": 16}, streams=64, repeat=4)) == 4_096
+    assert count_untrained(FlatLearner("x", "ppo", {"rollout_per_env": 16}, streams=64, repeat=4)) == 4_096
     assert count_untrained(FlatLearner("x", "ppo", streams=4)) == 256, "no rollout is shorter"
     assert count_untrained(FlatLearner("x", "ppo", streams=0)) == count_untrained(FlatLearner("x", ARCHIVE)) == 0
 

@@ -40,6 +40,8 @@ Lines are medians over rooms.
 - Rooms with a door.
 - {{ "smdp-dqn" | title }}.
 
+Terms: {term}`option`.
+
 ## Limits
 
 - One kind of room.

@@ -66,7 +66,7 @@ class PPOSettings(AgentSettings):
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all environments together. More make steadier updates, and
     fewer of them."""
-    stream_rollout: Annotated[int, Range(1)] = 32
+    rollout_per_env: Annotated[int, Range(1)] = 32
     """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
     many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10
@@ -155,7 +155,7 @@ class PPO(BatchAgent):
         self.place = num_envs, device
         self._arrays = Arrays(make_rng(self._seed, "actions" if device is None else "streams"), device)
         self._recollections = Recollections(self._memory, num_envs, self._arrays)
-        self._least = max(self.settings.rollout, 0 if device is None else self.settings.stream_rollout * num_envs)
+        self._least = max(self.settings.rollout, 0 if device is None else self.settings.rollout_per_env * num_envs)
         self.rollout = RolloutBuffer(self._arrays, num_envs)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:

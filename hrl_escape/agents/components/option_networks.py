@@ -336,7 +336,7 @@ class OptionHeads:
 
 
 class OptionRolloutAgent(BatchAgent, OptionAgent):
-    """Base of agents that learn options with networks from rollouts, with `stream_rollout` among the settings.
+    """Base of agents that learn options with networks from rollouts, with `rollout_per_env` among the settings.
 
     Options and rows are NumPy arrays with one environment, and in `OptionRollout` and `OpenOptions` with many.
     """
@@ -455,7 +455,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
         rollout, options = self._many
         over = batch.terminated | batch.truncated
         rollout.add(batch, options.end(batch.env, over), self._encoder, self.settings)
-        if len(rollout) < max(self.settings.rollout, self.settings.stream_rollout * self.place[0]):
+        if len(rollout) < max(self.settings.rollout, self.settings.rollout_per_env * self.place[0]):
             return {}
         taken = rollout.take()
         options.report(self.log)

@@ -247,8 +247,8 @@ class ReplayAgent(BatchAgent):
         settings, encoder, is_many = self.settings, self._encoder, device is not None
         self.place = num_envs, device
         self._arrays = Arrays(make_rng(self._seed, "draws"), device)
-        capacity = max(settings.replay_capacity, settings.stream_replay * num_envs if is_many else 1)
-        self._most_updates: float = settings.stream_updates if is_many else np.inf
+        capacity = max(settings.replay_capacity, settings.replay_per_env * num_envs if is_many else 1)
+        self._most_updates: float = settings.max_updates if is_many else np.inf
         action_shape = (self._actions,) if self._is_relaxed else ()
         self.replay = Replay(self._arrays, capacity, encoder.shape, encoder.dtype, self._actions, action_shape,
                              self._n_step, num_envs)

@@ -384,6 +384,28 @@ def _make_plain(value: Any) -> Any:
         value, {name: _make_plain(part) for name, part in vars(value).items() if _is_value(name, part)})
 
 
+def compute_code_digest(part: Any) -> str:
+    """Return a hash of the code of a function or a class, with its constants and bound values.
+
+    Functions that it calls and bases from this package are not included.
+    """
+    if not isinstance(part, type):
+        return compute_digest(_list_code(part) if inspect.isfunction(part) else _make_plain(part))
+    bases = [base for base in part.__mro__
+             if base is part or base.__module__.partition(".")[0] not in ("hrl_escape", "abc", "builtins")]
+    members = [[name, _list_code(value) if inspect.isfunction(value) else _make_plain(value)]
+               for base in bases for name, value in _list_members(base)]
+    return compute_digest(members)
+
+
+def _list_members(kind: type) -> list[tuple[str, Any]]:
+    """Return functions and values that a class defines, by name; nested classes are left out."""
+    found = [(name, getattr(value, "__func__", getattr(value, "fget", value)))
+             for name, value in sorted(vars(kind).items())]
+    return [(name, value) for name, value in found if inspect.isfunction(value)
+            or not (name.startswith("__") or name == "_abc_impl" or isinstance(value, type))]
+
+
 def _describe_object(value: Any, fields: Mapping[str, Any]) -> dict[str, Any]:
     return {"object": name_part(type(value)), "name": str(fields.get("name", "")), "digest": compute_digest(fields)}
 

@@ -325,9 +325,9 @@ def make_many_envs(env: VectorEnv | ManyEnvs, gamma: float) -> ManyEnvs:
     inside is a `ManyEnvs` itself.
     """
     inner: Any = env
-    if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_streams")):
+    if isinstance(env, VectorEnv) and not (env is env.unwrapped and hasattr(env, "get_many_envs")):
         return VectorManyEnvs(env, gamma)
-    streams = inner.get_streams() if isinstance(env, VectorEnv) else env
+    streams = inner.get_many_envs() if isinstance(env, VectorEnv) else env
     set_option_discount(streams, gamma)
     return streams
 

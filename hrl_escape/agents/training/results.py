@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.curves import Line, draw_lines, name_agents
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.errors import CheckpointError, EscapeError, describe_damage
-from hrl_escape.figures import LINES, get_figure_class, make_svg
+from hrl_escape.figures import make_svg
 from hrl_escape.files import read_json
 from hrl_escape.settings import read_record
 
@@ -238,26 +239,21 @@ class TrainResult:
 
     def plot(self, metric: str = "mean_return", against: str = "primitives", beside: Sequence[TrainResult] = ()
              ) -> Figure:
-        """Draw the learning curve from the evaluations.
+        """Draw the learning curve from the evaluations; runs of equal agents are one line with a band.
 
         Args:
             metric: as for `curve`.
             against: as for `curve`.
-            beside: more runs to plot in the same axes.
+            beside: more runs to plot in the same axes; see `plot_runs`.
 
         Returns:
             A matplotlib figure without a window; a notebook displays it, and `figure.savefig(path)`
             writes it.
         """
-        figure = get_figure_class()(figsize=(5.6, 3.0), dpi=120, layout="constrained")
-        axes = figure.add_subplot()
-        for number, run in enumerate((self, *beside)):
-            axes.plot(*run.curve(metric, against), color=LINES[number % len(LINES)], linewidth=1.8, marker="o",
-                      markersize=3, label=f"{run.agent_name}, seed {run.seed}")
-        axes.set(xlabel=f"{against} of training", ylabel=f"{metric.replace('_', ' ')} of frozen weights")
-        axes.legend(frameon=False)
-        axes.spines[["top", "right"]].set_visible(False)
-        return figure
+        runs = (self, *beside)
+        names = name_agents([(run.agent_name, run.settings) for run in runs])
+        lines = [Line(name, *run.curve(metric, against), run.seed) for name, run in zip(names, runs, strict=True)]
+        return draw_lines(lines, f"{against} of training", f"{metric.replace('_', ' ')} of frozen weights")
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON value without `agent`, `folder` and `resumed_at`."""

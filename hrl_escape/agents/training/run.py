@@ -233,6 +233,7 @@ class Run(Stateful):
                is_interrupted: Callable[[], bool]) -> None:
         """Run episodes until the budget is spent, evaluating and saving between them."""
         last_save = time.monotonic()
+        self.agent.note_budget(self.arguments.primitives)
         if not self.decisions:
             self._evaluate(folder)
             report(self.primitives, self.describe_returns())
@@ -250,9 +251,11 @@ class Run(Stateful):
                 last_save = time.monotonic()
                 for callback in self.callbacks:
                     callback.on_checkpoint(folder.path)
-            if folder is not None and is_interrupted() and self.can_be_saved and not self.is_over:
-                raise KeyboardInterrupt(f"interrupted after {self.primitives:,} primitives; {folder.path} holds the "
-                                        "run, and the same command continues it")
+            is_lost = not self.agent.is_resumable
+            if folder is not None and is_interrupted() and (self.can_be_saved or is_lost) and not self.is_over:
+                then = ("the same command starts this run again" if is_lost else
+                        f"{folder.path} holds the run, and the same command continues it")
+                raise KeyboardInterrupt(f"interrupted after {self.primitives:,} primitives; {then}")
 
     @property
     def is_over(self) -> bool:
@@ -279,7 +282,7 @@ class Run(Stateful):
     @property
     def can_be_saved(self) -> bool:
         """True if a checkpoint taken now resumes to the same bits."""
-        return True
+        return self.agent.is_resumable or self.is_over
 
     def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Train for one episode; returns its row of the log."""

@@ -24,7 +24,7 @@ from typing import Protocol
 
 from hrl_escape.benchmark.grid import GridRun
 from hrl_escape.benchmark.run_results import RunResult, get_run_folder, get_training_folder, load_run_result
-from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.errors import ConfigError, FileReadError, GridError
 
 TICK_SECONDS = 0.5
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -107,19 +107,26 @@ def get_fork_server() -> ForkServerContext:
 
 def _start(run: GridRun, out: Path, checkpoint_seconds: float) -> tuple[BaseProcess, Connection]:
     """Start the process of a run; it sends an error through the connection."""
+    import cloudpickle  # Gymnasium requires it; it takes functions and classes of scripts and notebooks
+
+    try:
+        packed = cloudpickle.dumps(run)
+    except Exception as error:  # raised by the parts of other packages
+        raise GridError(f"{run.name} cannot be sent to another process: {type(error).__name__}: {error}. Give a "
+                        "function or a class that makes what cannot be sent") from error
     context = get_fork_server()
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(run, out, checkpoint_seconds, sender), daemon=True)
+    process = context.Process(target=_work, args=(packed, out, checkpoint_seconds, sender), daemon=True)
     with _one_thread_each():
         process.start()
     sender.close()
     return process, receiver
 
 
-def _work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
+def _work(packed: bytes, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
     from hrl_escape.benchmark.launching.worker import work  # loads torch, which only the new process needs
 
-    work(run, out, checkpoint_seconds, answer)
+    work(packed, out, checkpoint_seconds, answer)
 
 
 def _receive(answer: Connection) -> dict[str, str] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import faulthandler
 import os
+import pickle
 import signal
 import time
 import traceback
@@ -41,10 +42,15 @@ MOST_CHARACTERS = 10_000
 """Longest message and traceback, which have to fit into the buffer of a pipe."""
 
 
-def work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
-    """Execute a run in a process of the local launcher; `answer` sends an error to it."""
+def work(packed: bytes, out: Path, checkpoint_seconds: float, answer: Connection) -> None:
+    """Execute a run, packed by `cloudpickle`, in a process of the local launcher; `answer` sends an error to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent also receives Ctrl-C and ends its processes
     die_with_parent()
+    try:
+        run: GridRun = pickle.loads(packed)  # from the parent process, through its pipe
+    except Exception as error:  # code of other packages is imported here
+        answer.send(describe_error(error))
+        return
     folder = get_run_folder(out, run)
     try:
         make_folder(folder)

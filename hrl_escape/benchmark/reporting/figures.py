@@ -16,10 +16,10 @@ from matplotlib.ticker import FuncFormatter
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.rung_references import RungReferences
-from hrl_escape.benchmark.summary import PROFILE, Summary, summarise
+from hrl_escape.benchmark.summary import Summary, summarise
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.maps import make_map
-from hrl_escape.figures import STYLE, save_figure
+from hrl_escape.figures import STYLE, get_figure_class, save_figure
 from hrl_escape.sets.manifest import AxisRecord
 
 GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
@@ -65,34 +65,50 @@ def _darken(colour: str) -> str:
 AXES = {"primitives": "primitives of training", "decisions": "decisions of training", "seconds": "seconds of training"}
 METRIC_LABELS = {"efficiency": "efficiency (IQM, 95 % interval)", "success": "episodes that escape",
                  "score": "return score (IQM, 95 % interval)"}
+"""Metrics that are drawn in rooms, with the labels of their axes."""
+ENV_LABELS = {"return": "return (mean, 95 % t interval)", "success": "episodes that succeed",
+              "length": "primitives an episode"}
+"""The same in an environment from elsewhere."""
 _STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
 
 
 def save_figures(summary: Summary, folder: Path) -> None:
     """Write learning curves, the performance profile and the rooms' maps."""
     with matplotlib.rc_context(_STYLE):
-        for metric in METRIC_LABELS:
+        for metric in list_metrics(summary):
             for against in AXES:
                 save_figure(folder / f"{metric}-against-{against}.svg", draw_curves(summary, metric, against))
         save_figure(folder / "performance-profile.svg", draw_profile(summary))
-    for room in summary.rooms:
+    for room in summary.rooms if summary.grid.env is None else ():
         save_figure(folder / f"room-{room.instance.id}.svg", make_map(room.instance))
 
 
+def list_metrics(summary: Summary) -> dict[str, str]:
+    """Return the metrics that are drawn, with the labels of their axes; the measure of the comparison comes first."""
+    labels = METRIC_LABELS if summary.grid.env is None else ENV_LABELS
+    known = [name for name in labels if name in summary.agents[0].curve.metrics]
+    return {name: labels[name] for name in sorted(known, key=lambda name: name != summary.measure.curve)}
+
+
 def draw_comparison(comparison: Comparison) -> Figure:
-    """Draw efficiency against primitives for all agents."""
+    """Draw the measure of a comparison against primitives for all agents."""
     return draw_summary(summarise(comparison))
 
 
 def draw_summary(summary: Summary) -> Figure:
-    """Draw efficiency against primitives for all agents."""
+    """Draw the measure of a comparison against primitives for all agents."""
+    return draw_styled(summary, summary.measure.curve, "primitives")
+
+
+def draw_styled(summary: Summary, metric: str, against: str) -> Figure:
+    """Draw learning curves with the style of reports."""
     with matplotlib.rc_context(_STYLE):
-        return draw_curves(summary, "efficiency", "primitives")
+        return draw_curves(summary, metric, against)
 
 
 def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
-    """Draw learning curves over all rooms."""
-    figure, axes = _make_axes(AXES[against], METRIC_LABELS[metric])
+    """Draw learning curves over all rooms, or in an environment with its reference return."""
+    figure, axes = _make_axes(AXES[against], list_metrics(summary)[metric])
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         x = getattr(agent.curve, against)
         middle, low, high = agent.curve.metrics[metric]
@@ -100,16 +116,18 @@ def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
             axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
         axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", label=agent.spec.title,
                   linewidth=0.9 if is_level(agent.spec) else 1.8)
+    if metric == "return" and summary.grid.env is not None and summary.grid.env.reference is not None:
+        axes.axhline(summary.grid.env.reference, color=palette.MUTED, linewidth=0.9, linestyle=":", label="reference")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
     _finish(axes)
     return figure
 
 
 def draw_profile(summary: Summary) -> Figure:
-    """Draw the share of runs above each efficiency."""
-    figure, axes = _make_axes("efficiency", "share of runs above")
+    """Draw the share of runs above each value of the measure."""
+    figure, axes = _make_axes(summary.measure.name, "share of runs above")
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
-        axes.step(PROFILE, agent.profile, where="post", color=look.colour, linewidth=1.8,
+        axes.step(summary.thresholds, agent.profile, where="post", color=look.colour, linewidth=1.8,
                   linestyle="--" if look.is_dashed else "-", label=agent.spec.title)
     axes.set_ylim(-0.02, 1.04)
     _finish(axes)
@@ -117,7 +135,7 @@ def draw_profile(summary: Summary) -> Figure:
 
 
 def _make_axes(x: str, y: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.2, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+    figure = get_figure_class()(figsize=(7.2, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
     axes = figure.add_subplot()
     axes.set_xlabel(x, color=palette.INK)
     axes.set_ylabel(y, color=palette.INK)

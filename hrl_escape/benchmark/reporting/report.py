@@ -12,6 +12,7 @@ import base64
 import csv
 import io
 import json
+import math
 import re
 import shlex
 from collections.abc import Iterable, Sequence
@@ -27,11 +28,12 @@ from numpy.typing import NDArray
 from hrl_escape.agents.registry import DEFAULT_RECIPE
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison
+from hrl_escape.benchmark.env_spec import EnvPlace
 from hrl_escape.benchmark.inference import Estimate, Pair, is_better
 from hrl_escape.benchmark.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
 from hrl_escape.benchmark.run_results import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.benchmark.statistics import compute_iqm, compute_score
-from hrl_escape.benchmark.summary import PROFILE, AgentSummary, Curve, RoomSummary, Summary, summarise
+from hrl_escape.benchmark.summary import AgentSummary, Curve, RoomSummary, Summary, summarise
 from hrl_escape.benchmark.verdict import Sentence, find_leader, write_verdict
 from hrl_escape.env.pictures.maps import make_map
 from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room
@@ -50,7 +52,8 @@ def write_tables(summary: Summary, folder: Path) -> None:
     results, curves, timings, trials = [], [], [], []
     for run, result in summary.runs:
         head = (run.agent.label, run.room, run.place_id, run.seed)
-        worst, top = result.score_range.worst, float(np.mean(result.score_range.best))
+        ends = result.score_range
+        worst, top = (math.nan, math.nan) if ends is None else (ends.worst, float(np.mean(ends.best)))
         final = result.get_final("mean_return")
         results.append((*head, *map(result.get_final, MEASURES), float(compute_score(final, worst, top)), final,
                         "" if result.first_escape is None else result.first_escape, int(result.is_stuck), worst, top,
@@ -78,6 +81,8 @@ def write_tables(summary: Summary, folder: Path) -> None:
 def _describe_reach(result: RunResult) -> tuple[float, float, float | str]:
     """Return best reachable return, fewest known primitives and fewest reachable ones; empty if unknown."""
     ends = result.score_range
+    if ends is None:
+        return math.nan, math.nan, ""
     reach = [fewest for fewest in ends.fewest_reachable if fewest is not None]
     complete = len(reach) == len(ends.fewest_reachable)
     return float(np.mean(ends.reachable)), float(np.mean(ends.fewest)), float(np.mean(reach)) if complete else ""
@@ -87,7 +92,8 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    writer.writerows(rows)
+    writer.writerows([["" if isinstance(value, float) and math.isnan(value) else value for value in row]
+                      for row in rows])
     write_text(path, text.getvalue())
 
 
@@ -96,22 +102,48 @@ def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, 
     grid = summary.grid
     lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
     lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
-    count, are_sets = len(summary.rooms), bool(grid.train_rooms)
+    lines += ["", *(_make_room_table(summary) if grid.env is None else _make_env_table(summary))]
+    cautions = [f"- {sentence.text}" for sentence in verdict if sentence.kind == "caution"]
+    lines += ["", *(["Read with care:", "", *cautions, ""] if cautions else [])]
+    if grid.env is None:
+        lines.append("Rooms: " + "; ".join(
+            f"{room.name}, {describe_place(room.place)}, best known escape {room.fewest:g} primitives, return "
+            f"{room.best:g}" for room in summary.rooms) + ".")
+    lines += ["", "```console", command, "```", ""]
+    write_text(path, "\n".join(lines))
+
+
+def _make_room_table(summary: Summary) -> list[str]:
+    count, are_sets, grid = len(summary.rooms), bool(summary.grid.train_rooms), summary.grid
     one, many = ("set of rooms", "sets of rooms") if are_sets else ("room", "rooms")
     rooms = f"each of {count} {many}" if count > 1 else f"one {one}"
-    lines += ["", f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
-              "0 without escape, else the fewest primitives known over those taken.", ""]
     seen = "| in rooms trained in " * are_sets
-    lines += [f"| agent | efficiency (IQM, 95 % interval) {seen}| progress | success rate (Wilson) "
-              "| primitives an episode | first escape | return score | stuck runs | missing: options + learning |",
-              "|---|---|---|---|---|---|---|---|---|" + "---|" * are_sets]
-    lines += [_make_line(agent, are_sets) for agent in summary.agents]
-    cautions = [f"- {sentence.text}" for sentence in verdict if sentence.kind == "caution"]
-    lines += ["", *(["Read with care:", "", *cautions, ""] if cautions else []), "Rooms: " + "; ".join(
-        f"{room.name}, {describe_place(room.place)}, best known escape {room.fewest:g} primitives, return "
-        f"{room.best:g}" for room in summary.rooms) + ".",
-        "", "```console", command, "```", ""]
-    write_text(path, "\n".join(lines))
+    return [f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
+            "0 without escape, else the fewest primitives known over those taken.", "",
+            f"| agent | efficiency (IQM, 95 % interval) {seen}| progress | success rate (Wilson) "
+            "| primitives an episode | first escape | return score | stuck runs | missing: options + learning |",
+            "|---|---|---|---|---|---|---|---|---|" + "---|" * are_sets,
+            *(_make_line(agent, are_sets) for agent in summary.agents)]
+
+
+def _make_env_table(summary: Summary) -> list[str]:
+    grid, columns = summary.grid, list_env_columns(summary)
+    return [f"After {grid.primitives:,} primitives in {summary.rooms[0].name}, {grid.runs} runs. Returns are means "
+            "over the last fifth of training.", "",
+            f"| agent | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|",
+            *(f"| {agent.label} | {' | '.join(list_env_values(summary, agent))} |" for agent in summary.agents)]
+
+
+def list_env_columns(summary: Summary) -> list[str]:
+    """Return the headings of the results in an environment from elsewhere."""
+    success = ["success rate (95 % interval)", "first success"] if summary.reports_success else []
+    return ["return (mean, 95 % t interval)", *success, "primitives an episode", "decisions"]
+
+
+def list_env_values(summary: Summary, agent: AgentSummary) -> list[str]:
+    """Return the results of an agent under the headings of `list_env_columns`."""
+    success = [f"{agent.success:.0%}", format_first_escape(agent)] if summary.reports_success else []
+    return [f"{agent.returns:.4g}", *success, f"{agent.length.value:,.0f}", f"{agent.decisions:,.0f}"]
 
 
 def _make_line(agent: AgentSummary, are_sets: bool) -> str:
@@ -121,8 +153,10 @@ def _make_line(agent: AgentSummary, are_sets: bool) -> str:
             f"| {agent.score.value:.3f} | {agent.stuck:.0%} | {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
 
 
-def describe_place(place: RunPlace) -> str:
-    """Describe a room by its id, or a split by numbers of rooms and overlaps with training."""
+def describe_place(place: RunPlace | EnvPlace) -> str:
+    """Describe a room by its id, a split by numbers of rooms and overlaps with training, an environment by its text."""
+    if isinstance(place, EnvPlace):
+        return f"`{place.spec.env}`" + (f" with the options `{place.spec.options}`" if place.spec.options else "")
     if place.split is None:
         return f"instance `{place.id}`"
     split = place.split
@@ -143,12 +177,13 @@ BETTER, EVEN, WORSE = (0, 114, 178), (120, 110, 90), (213, 94, 0)
 """Tints of the odds: blue above one half, orange below."""
 
 
-def write_report(comparison: Comparison, command: str) -> Summary:
+def write_report(comparison: Comparison, command: str, folder: Path | None = None) -> Summary:
     """Write `report.html`, `summary.md`, `results.csv`, `curves.csv`, `timings.csv` and `figures/`.
 
     Args:
-        comparison: the comparison; its folder takes the files.
-        command: command that reproduces it.
+        comparison: the comparison.
+        command: command or call that reproduces it.
+        folder: folder of the files; by default that of the comparison.
 
     Returns:
         The summary.
@@ -159,10 +194,11 @@ def write_report(comparison: Comparison, command: str) -> Summary:
         FileReadError: a record of episodes is missing or damaged.
     """
     summary = summarise(comparison)
-    write_tables(summary, comparison.out)
-    write_markdown(summary, write_verdict(summary), command, comparison.out / "summary.md")
-    save_figures(summary, comparison.out / "figures")
-    write_text(comparison.out / PAGE, make_page(comparison, summary, command))
+    folder = comparison.out if folder is None else folder
+    write_tables(summary, folder)
+    write_markdown(summary, write_verdict(summary), command, folder / "summary.md")
+    save_figures(summary, folder / "figures")
+    write_text(folder / PAGE, make_page(comparison, summary, command))
     return summary
 
 
@@ -200,9 +236,14 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
         leader_chip=chips[leader.label],
         entries=entries,
         leader=leader,
+        in_rooms=summary.grid.env is None,
+        metrics=list_page_metrics(summary),
+        env_columns=list_env_columns(summary), env_values={entry.agent.label: list_env_values(summary, entry.agent)
+                                                           for entry in entries},
         by_room=[(entry.chip, _list_room_cells(summary, entry.agent)) for entry in entries],
         odds=[(entry, _list_odds_cells(summary, number)) for number, entry in enumerate(entries)],
-        rooms=[_describe_room(room, number, entries) for number, room in enumerate(summary.rooms)],
+        rooms=[_describe_room(room, number, entries) for number, room in enumerate(summary.rooms)
+               if summary.grid.env is None],
         failures=comparison.failures,
         command=command,
         training_seconds=sum(agent.seconds * agent.runs for agent in summary.agents),
@@ -240,6 +281,7 @@ def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
 def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
     """Return the commands that show the run of a replay in 3D, live and as an offline page."""
     place = comparison.places[replay["room"]]
+    assert isinstance(place, RunPlace), "only episodes of rooms are recorded"
     run = next(run for run, _ in comparison.runs if (run.agent.label, run.place_id, run.seed)
                == (replay["agent"], place.id, replay["seed"]))
     arguments = shlex.join([str(get_training_folder(comparison.out, run)),
@@ -258,7 +300,8 @@ def describe_kind(spec: AgentSpec) -> str:
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"
         actions += ", with ancestors" if spec.options.option_set == "press-with-ancestors" else ""
-    kind = "reference, " if spec.is_reference else "" if spec.learns else "random policy, "
+    fixed = "trained before, " if spec.is_frozen else "reference, "
+    kind = fixed if spec.is_reference else "" if spec.learns else "random policy, "
     return kind + actions + (f", settings {spec.recipe}" if spec.recipe != DEFAULT_RECIPE else "")
 
 
@@ -296,17 +339,18 @@ def _list_room_cells(summary: Summary, agent: AgentSummary) -> list[_Cell]:
 def _list_odds_cells(summary: Summary, number: int) -> list[_Cell]:
     """Make the cells of the shares of pairs with an agent above each other agent."""
     first = summary.agents[number]
-    return [_Cell("") if first is second else _make_odds_cell(first, second, pair)
+    name = summary.measure.name
+    return [_Cell("") if first is second else _make_odds_cell(first, second, pair, name)
             for second, pair in zip(summary.agents, summary.pairs[number], strict=True)]
 
 
-def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> _Cell:
-    odds, gain = pair.improvement, pair.difference
+def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair, name: str) -> _Cell:
+    odds, gain = pair.improvement, pair.difference.value
     tint = _tint(BETTER if odds.value > 0.5 else WORSE if odds.value < 0.5 else EVEN, abs(odds.value - 0.5) * 2)
     is_clear = is_better(pair) or is_better(pair.turn())
     return _Cell(f"{odds.value:.2f}", tint + (";font-weight:700" if is_clear else ""),
                  f"{first.label} above {second.label} in {odds.value:.3f} of {pair.count} pairs; difference of "
-                 f"efficiency {gain:+.3f}, corrected p {pair.p:.3g}")
+                 f"{name} {gain:+.3g}, corrected p {pair.p:.3g}")
 
 
 def _tint(colour: tuple[int, int, int], strength: float) -> str:
@@ -351,14 +395,16 @@ BEST, MEDIAN = "best", "median"
 
 def make_page_data(summary: Summary, entries: Sequence[_Entry], replays: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """Collect what the page's scripts need."""
-    rooms = [describe_room(room.instance) for room in summary.rooms]
+    rooms = [describe_room(room.instance) for room in summary.rooms] if summary.grid.env is None else []
     for replay in replays:
         room, primitives = rooms[replay["room"]], summary.rooms[replay["room"]].instance.robot.actions.names
         chosen = {name for name, _, _ in replay["decisions"]}.difference(primitives)
         room["options"] = sorted(chosen.union(room["options"]))
     return {
         "agents": [_describe_agent(entry.agent, entry.look) for entry in entries],
-        "thresholds": PROFILE.tolist(),
+        "thresholds": summary.thresholds.tolist(),
+        "measure": summary.measure.name,
+        "has_rooms": summary.grid.env is None,
         "rooms": rooms,
         "replays": list(replays),
         "looks": PLAYER_COLOURS,
@@ -388,6 +434,20 @@ def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
             else:
                 chosen += [{**best, "kinds": [BEST]}, {**median, "kinds": [MEDIAN]}]
     return chosen
+
+
+PAGE_METRICS = {"efficiency": "efficiency", "gap": "gap to best", "progress": "progress", "success": "success rate",
+                "length": "primitives an episode", "score": "return score"}
+"""Metrics of the page's learning curves in rooms, with the words on their buttons."""
+
+
+def list_page_metrics(summary: Summary) -> dict[str, str]:
+    """Return the metrics of the page's learning curves, the first one drawn at first."""
+    if summary.grid.env is None:
+        return PAGE_METRICS
+    words = {"return": "return", **PAGE_METRICS}
+    known = [name for name in words if name in summary.agents[0].curve.metrics]
+    return {name: words[name] for name in sorted(known, key=lambda name: name != summary.measure.curve)}
 
 
 def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:

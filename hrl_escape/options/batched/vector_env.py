@@ -1,7 +1,7 @@
 """Thousands of rooms with options as one Gymnasium `VectorEnv`: a step is one decision of every room.
 
 `gymnasium.make_vec("hrl_escape/PaperTwoButtonOptions-v1", num_envs=1024)` makes one. A room whose decision has ended
-waits for the others. `get_streams` returns the same rooms, each at its own pace, as `train` uses them.
+waits for the others. `get_many_envs` returns the same rooms, each at its own pace, as `train` uses them.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class OptionsVectorEnv(BatchVectorEnv):
         """Return the device of the rooms."""
         return self._batch.device
 
-    def get_streams(self) -> BatchedOptionsEnv:
+    def get_many_envs(self) -> BatchedOptionsEnv:
         """Make the same rooms, each deciding at its own pace, with automatic reset.
 
         Raises:

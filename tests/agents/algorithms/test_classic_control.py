@@ -50,6 +50,7 @@ class Leaning:
         return np.array(int(observation[2] + observation[3] > 0)), None
 
 
+@pytest.mark.nightly
 def test_a_model_of_stable_baselines3_is_measured_as_our_agents_are():
     assert measure(Peer(Leaning()), gymnasium.make("CartPole-v1")) > 400  # random actions: 22
 

@@ -105,6 +105,7 @@ def test_r_max_equals_value_iteration_on_taxi_once_all_is_known(taxi):
         assert exact[state][best] == pytest.approx(exact[state].max(), abs=1e-9)
 
 
+@pytest.mark.nightly
 def test_factored_r_max_equals_value_iteration_on_taxi_once_all_is_known(taxi):
     env, states, exact = taxi
     settings = FactoredRMaxSettings(gamma=GAMMA, max_parents=4, conditions="any")

@@ -150,6 +150,7 @@ def test_dueling_streams_meet_in_the_mean_of_advantages():
         assert torch.allclose(layers.compute_logits(rows).mean(dim=1), layers.state(layers.body(rows)), atol=1e-5)
 
 
+@pytest.mark.nightly
 def test_noise_has_the_deviation_of_its_equation_and_none_is_left_in_evaluation():
     agent = make(noise=0.7)
     layer = next(each for each in agent.values.online.modules() if isinstance(each, NoisyLinear))

@@ -57,6 +57,7 @@ def test_trap_3_a_cut_episode_still_has_a_future():
     assert q1 == pytest.approx(-3, abs=0.1)
 
 
+@pytest.mark.nightly
 def test_online_sarsa_takes_the_very_action_it_bootstrapped_from():
     env = ButtonGrid(horizon=40)
     settings = SarsaSettings(replay_capacity=0, expected=False, warmup=0, hidden=(8,))

@@ -97,7 +97,7 @@ def live(agent, count, length):
 @pytest.mark.parametrize(("count", "length"), COUNTS)
 @pytest.mark.parametrize(("n", "double"), [(1, True), (3, False)])
 def test_targets_of_dqn_are_sums_over_primitives_and_the_best_legal_action(count, length, n, double):
-    agent = DQN(*SPACES, 0, DQNSettings(**SETTINGS, n_step=n, double=double, warmup=10**9, stream_replay=length))
+    agent = DQN(*SPACES, 0, DQNSettings(**SETTINGS, n_step=n, double=double, warmup=10**9, replay_per_env=length))
     agent.values.target.weights.add_(0.3 * torch.randn(len(agent.values.target.weights),
                                                        generator=torch.Generator().manual_seed(1)))
     _, order = live(agent, count, length)
@@ -123,7 +123,8 @@ def test_targets_of_dqn_are_sums_over_primitives_and_the_best_legal_action(count
 def test_advantages_of_ppo_are_discounted_sums_of_errors_and_chances_are_those_of_the_choice(count, length, lambda_per):
     total = count * length
     agent = PPO(*SPACES, 0, PPOSettings(
-        **SETTINGS, gae_lambda=0.8, lambda_per=lambda_per, rollout=total, stream_rollout=1, batch_size=total, epochs=1))
+        **SETTINGS, gae_lambda=0.8, lambda_per=lambda_per, rollout=total, rollout_per_env=1, batch_size=total,
+        epochs=1))
     agent.policy.weights.mul_(20.0)  # far from uniform
     policy, critic = ([(each.weight.detach().clone(), each.bias.detach().clone()) for each in network
                        if isinstance(each, torch.nn.Linear)] for network in (agent.policy, agent.critic))

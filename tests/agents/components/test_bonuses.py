@@ -59,6 +59,7 @@ def test_deep_agents_learn_from_the_bonus(name: str):
     assert sum(counted) < sum(plain) - 1
 
 
+@pytest.mark.nightly
 def test_counts_find_the_end_of_a_corridor_without_rewards_that_chance_does_not():
     states = 30
     corridor = [

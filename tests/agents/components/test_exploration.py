@@ -28,6 +28,7 @@ VALUES = hnp.arrays(np.float64, 6, elements=st.floats(-1e6, 1e6))
 MASKS = hnp.arrays(np.bool_, 6).filter(lambda mask: mask.any())
 
 
+@pytest.mark.nightly
 @given(values=VALUES, mask=MASKS, kind=KINDS, steps=st.integers(0, 10_000), seed=st.integers(0, 99))
 def test_trap_11_exploration_never_draws_an_illegal_action(values, mask, kind, steps, seed):
     settings = ExplorationSettings(exploration=kind)

@@ -25,7 +25,7 @@ from tests.agents.training.test_resuming import flatten
 
 CORRIDOR = 4
 SEEN = spaces.Box(-1.0, 1.0, (2,), np.float32)
-SMALL = {"hidden": (16,), "memory": "gru", "memory_units": 8, "rollout": 64, "stream_rollout": 8}
+SMALL = {"hidden": (16,), "memory": "gru", "memory_units": 8, "rollout": 64, "rollout_per_env": 8}
 
 
 class TMaze(gymnasium.Env):
@@ -140,7 +140,7 @@ def test_memory_keeps_the_contract_of_agents():
 
 def train_mazes(seed, memory):
     settings = {"memory": memory, "memory_units": 16, "memory_span": 8, "hidden": (32,), "rollout": 512, "epochs": 4,
-                "batch_size": 128, "stream_rollout": 16, "reward_scale": 1.0, "learning_rate": 5e-3,
+                "batch_size": 128, "rollout_per_env": 16, "reward_scale": 1.0, "learning_rate": 5e-3,
                 "entropy_weight": 0.02}
     result = train("ppo", TMazes(64), primitives=12_000, seed=seed, settings=settings, eval_env=TMaze(),
                    eval_episodes=0)
@@ -202,6 +202,7 @@ def test_what_is_remembered_is_part_of_a_checkpoint():
     assert now.any() and (again == now).all()
 
 
+@pytest.mark.nightly
 def test_streams_that_all_end_at_once_choose_nothing_for_a_step():
     room = dataclasses.replace(get_preset("paper-two-button"), horizon=20)
     rooms = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=4, config=room, output="torch")

@@ -11,6 +11,7 @@ from tests.classic.four_rooms import FourRooms
 ALL = np.ones(4, np.bool_)
 
 
+@pytest.mark.nightly
 def test_eigenoptions_learned_in_one_task_serve_another_agent_in_another_task(tmp_path):
     """Learned without a goal, saved, loaded, run as options to a goal that was never seen."""
     settings = {"epsilon_end": 1.0, "directions": 4, "gamma": 0.9}

@@ -52,6 +52,7 @@ def test_a_callback_hears_of_every_row_and_changes_no_number(tmp_path):
     assert json.loads((tmp_path / "told" / "run.json").read_text()) == json.loads(json.dumps(begun.identity))
 
 
+@pytest.mark.nightly
 def test_a_run_that_a_callback_ended_goes_on_to_the_same_bits_without_it(tmp_path):
     ended = run(out=tmp_path / "cut", callbacks=[Notes(), Notes(last=3)])
     assert len(ended.evaluations) == 3 and ended.primitives < 1_200

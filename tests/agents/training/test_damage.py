@@ -152,6 +152,7 @@ def test_an_array_that_claims_72_tebibytes_is_refused_before_memory_is_taken(tmp
         load_checkpoint(path)
 
 
+@pytest.mark.nightly
 def test_a_compressed_archive_is_refused_before_it_unfolds(tmp_path):
     members = {"tree.npy": make_tree({"a": {"__array__": "b"}}), "b.npy": make_npy(np.zeros(10**7))}
     path = write_archive(tmp_path / "x.npz", members, zipfile.ZIP_DEFLATED)

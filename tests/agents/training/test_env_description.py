@@ -147,6 +147,7 @@ def test_functions_without_a_name_are_told_apart_by_their_content(one, other):
         make_described_env({**first, "class": "gymnasium.envs.classic_control.cartpole:CartPoleEnv", "arguments": {}})
 
 
+@pytest.mark.nightly
 def test_environment_and_agent_of_a_run_are_made_from_its_folder(tmp_path):
     result = run(make_options(option_set="press-with-ancestors"), tmp_path / "run")
     env = load_env(tmp_path / "run")

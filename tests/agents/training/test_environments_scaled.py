@@ -57,7 +57,7 @@ def test_every_line_has_as_many_runs_and_below_64_environments_there_is_one_rule
     for count in (1, 64, 4096):
         for rule, make in RULES.items():
             settings = make_agent("ppo", env.observation_space, env.action_space, 0, **make(count)).settings
-            decisions = max(settings.rollout, settings.stream_rollout * count)
+            decisions = max(settings.rollout, settings.rollout_per_env * count)
             batch = max(settings.batch_size, decisions * settings.batch_size // settings.rollout)
             if rule != "defaults" and count >= 64:
                 assert batch == (256 if rule == "eight steps" else 64) and decisions == settings.rollout

@@ -21,6 +21,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc's allocator is asked")
 def test_kept_memory_is_used_again():
     given_back, kept = (int(run_fork(COUNT_FAULTS, how, check=True).stdout) for how in ("given back", "kept"))

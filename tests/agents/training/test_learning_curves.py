@@ -104,7 +104,7 @@ def test_recommended_settings_keep_rollouts_and_minibatches_as_of_64_environment
     env = gymnasium.make("CartPole-v1")
     for count in (64, 512, 2_048):
         settings = make_agent("ppo", env.observation_space, env.action_space, 0, **VARIANTS["both"](count)).settings
-        decisions = max(settings.rollout, settings.stream_rollout * count)
+        decisions = max(settings.rollout, settings.rollout_per_env * count)
         assert decisions == LONGEST == 32 * 64
         assert max(settings.batch_size, decisions * settings.batch_size // settings.rollout) == 64
 

@@ -328,6 +328,7 @@ def test_a_signal_in_the_last_episode_ends_the_process_once_the_result_is_writte
     assert load_result(tmp_path) == run("q-learning", "default", {}, make_env(), primitives=9, eval_episodes=0)
 
 
+@pytest.mark.nightly
 def test_a_signal_without_a_handler_kills_the_process_after_the_checkpoint(tmp_path):
     script = """if True:
         import signal, sys
@@ -341,6 +342,7 @@ def test_a_signal_without_a_handler_kills_the_process_after_the_checkpoint(tmp_p
     assert 0 < load_checkpoint(tmp_path / "checkpoint.npz")["primitives"] < 300
 
 
+@pytest.mark.nightly
 def test_the_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):
     env = ButtonGrid(trace=True)
     whole = run("q-learning", "default", {}, env, tmp_path, primitives=2500, eval_every=250)

@@ -144,7 +144,7 @@ def test_copies_report_their_success_at_their_own_last_steps(mode):
 @pytest.mark.nightly_for("AutoresetMode.SAME_STEP")
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_segments_of_copies_that_report_no_success_have_none(mode, tmp_path):
-    settings = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}
+    settings = {"hidden": (8,), "rollout": 64, "rollout_per_env": 4, "epochs": 2, "batch_size": 16}
     poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 2, autoreset_mode=mode)
     result = run(poles, "ppo", 200, settings=settings, eval_env=gymnasium.make("CartPole-v1"), out=tmp_path)
     assert sum(segment.episodes for segment in result.segments) > 3

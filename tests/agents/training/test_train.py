@@ -243,6 +243,7 @@ class CountsThreads(ButtonGrid):
         return super().step(action)
 
 
+@pytest.mark.nightly
 def test_threads_are_a_part_of_the_run_and_those_around_it_are_not(tmp_path):
     before = torch.get_num_threads()
     try:
@@ -262,6 +263,7 @@ def test_threads_are_a_part_of_the_run_and_those_around_it_are_not(tmp_path):
         run("dqn", CountsThreads(trace=True, horizon=40), out=tmp_path / "1" / keys[2], primitives=100)
 
 
+@pytest.mark.nightly
 def test_a_run_ends_with_two_evaluations_in_a_row_that_are_good_enough(tmp_path):
     arguments = {"env": gymnasium.make("CartPole-v1"), "primitives": 2_000, "seed": 2, "settings": {}}
     whole = run(out=tmp_path / "{key}", **arguments)

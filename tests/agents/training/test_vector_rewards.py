@@ -309,6 +309,7 @@ class Spy(VectorWrapper):
         return 2 * observation, *rest, infos
 
 
+@pytest.mark.nightly
 def test_a_wrapper_above_a_batch_of_rooms_with_options_is_stepped_through():
     rooms = OptionsVectorEnv(4, "paper-one-button", observation="features")
     spy = Spy(rooms)
@@ -346,6 +347,7 @@ def test_a_wrapped_batch_gives_the_sums_at_the_agents_discount(output):
     torch.testing.assert_close(outcome.discounted_reward.double(), -(1 - GAMMA**k) / (1 - GAMMA), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.nightly
 def test_the_environment_of_evaluations_must_be_given_where_wrappers_show_something_else():
     with pytest.raises(AgentSettingsError, match="eval_env = None .* with the effect of Spy"):
         train("smdp-ppo+primitives", Spy(OptionsVectorEnv(2, "paper-one-button")), primitives=50, settings=SMALL)

@@ -21,6 +21,7 @@ def call(capsys, *arguments: str):
     return code, printed.out, printed.err
 
 
+@pytest.mark.nightly
 def test_rungs_are_listed(capsys):
     code, out, _ = call(capsys, "list")
     assert code == 0 and all(f"\n{rung.name} " in out for rung in load_benchmark("ladder-1"))
@@ -28,6 +29,7 @@ def test_rungs_are_listed(capsys):
     assert json.loads(out)["rungs"][0]["sets"] == {"train": 1000, "valid": 100, "test": 100}
 
 
+@pytest.mark.nightly
 def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):
     files = ["--draw", str(tmp_path / "room.svg"), "--save", str(tmp_path / "room.json")]
     code, out, _ = call(capsys, "show", "pair", "--role", "test", "--index", "2", *files)
@@ -36,6 +38,7 @@ def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):
     assert RoomInstance.load(tmp_path / "room.json").digest == rung.test[2].digest
 
 
+@pytest.mark.nightly
 def test_a_rung_is_known_by_the_name_that_other_commands_give_it(capsys):
     code, out, _ = call(capsys, "show", "marks-1/told")
     assert code == 0 and load_benchmark("marks-1")["told"].record.test.root in out
@@ -52,6 +55,7 @@ def test_an_option_of_other_protocols_is_refused(capsys, protocol, option, value
     assert f"{option} does nothing with --protocol {protocol}; it is for {suits}" in err
 
 
+@pytest.mark.nightly
 def test_runs_of_each_benchmark_have_a_folder_that_no_other_command_writes_to(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, out, _ = call(capsys, "run", "random-options", "--rung", "doormat", "--dry-run")
@@ -201,6 +205,7 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
     assert len(trials) == 1 + 3 * 3 and trials[0].endswith("trial,efficiency,success,length")
 
 
+@pytest.mark.nightly
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     code, out, _ = call_script(
         capsys, "benchmarks.ladder", "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json",

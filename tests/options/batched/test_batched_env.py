@@ -55,6 +55,7 @@ def decide(env, action, most=300):
 # --- the SMDP contract -------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_every_field_is_that_of_options_env():
     env = begin(make_env(discount=0.9, observation="state"))
     single = OptionsEnv(EscapeRoomEnv(instance=env.room.instances[0]), discount=0.9)
@@ -95,6 +96,7 @@ def test_the_exit_inside_an_option_keeps_its_bonus_and_the_state_reached_is_not_
     assert torch.equal(start[2:3], env.observation[0, 2:3])
 
 
+@pytest.mark.nightly
 def test_the_cap_inside_an_option_truncates_and_counts_what_ran():
     env = begin(make_env(config="paper-two-button", horizon=4, discount=0.9, observation="state"))
     done = decide(env, META_2)
@@ -115,6 +117,7 @@ def test_no_room_waits_for_another():
     assert ends[:, 1].tolist() == [False] * 8 + [True], "button 1 is nine moves away"
 
 
+@pytest.mark.nightly
 def test_an_episode_begins_wherever_one_has_ended():
     env, alone, generator = BatchedOptionsEnv(8, "paper-one-button"), 0, torch.Generator().manual_seed(0)
     env.reset(0)
@@ -135,6 +138,7 @@ def test_an_action_for_a_room_that_is_busy_is_not_read():
     assert int(done.action) == META_1 and int(done.pressed) == 1
 
 
+@pytest.mark.nightly
 def test_a_masked_option_costs_one_turn():
     env = begin(make_env(config=WITH_DOOR))
     assert env.action_mask[0].tolist() == [True] * 8 + [False], "the door is shut"
@@ -154,6 +158,7 @@ def test_options_end_when_they_may_last_no_longer():
     assert env.actions == 3
 
 
+@pytest.mark.nightly
 def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
     env = begin(make_env(2, autoreset=False))
     for action in (META_1, META_2, META_EXIT):

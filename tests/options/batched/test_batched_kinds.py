@@ -139,6 +139,7 @@ def sort_targets(room):
     return order
 
 
+@pytest.mark.nightly
 def test_ancestors_are_pressed_first_and_what_is_on_is_not_pressed_again():
     room = generate(CHAIN, 0)
     last = sort_targets(room)[-1]

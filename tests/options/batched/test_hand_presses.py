@@ -99,6 +99,7 @@ def test_a_hand_presses_from_any_posture_and_any_pose():
     assert len(lasted) >= 24 and max(lasted) <= 45
 
 
+@pytest.mark.nightly
 def test_a_press_that_is_held_is_let_go_and_made_again():
     env = make_env()
     decide(env, 0)
@@ -107,6 +108,7 @@ def test_a_press_that_is_held_is_let_go_and_made_again():
     assert before.touching & 1 and int(done.pressed) == 1 and int(done.duration) == 2, "away and back"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_a_target_that_no_hand_reaches_costs_one_primitive(noise):
     room = generate(dataclasses.replace(ARM, dynamics=dataclasses.replace(ARM.dynamics, noise=noise)), 0)
@@ -239,6 +241,7 @@ def test_rooms_pressed_by_hand_go_on_where_they_were_written_down():
 # --- fields -----------------------------------------------------------------------------------
 
 
+@pytest.mark.nightly
 def test_fields_of_postures_are_zero_in_touch_and_else_one_more_than_the_best_that_a_primitive_leads_to():
     """Bellman's equation by the scalar rules, in a field of each target; touches by the hand's own kinematics."""
     instance = generate(ARM, 2)

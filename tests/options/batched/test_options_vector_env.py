@@ -81,7 +81,8 @@ def test_actions_outside_the_table_are_refused():
         many.step(np.array([0, 99]))
 
 
+@pytest.mark.nightly
 def test_training_takes_the_rooms_each_at_its_own_pace():
     result = train("smdp-ppo+primitives", make(4, observation="features"), primitives=150, eval_episodes=0,
-                   settings={"hidden": (8,), "rollout": 16, "stream_rollout": 2, "epochs": 1})
+                   settings={"hidden": (8,), "rollout": 16, "rollout_per_env": 2, "epochs": 1})
     assert result.decisions < result.primitives and result.segments

@@ -43,6 +43,7 @@ def test_options_reach_what_options_env_reaches_in_about_as_many_primitives(kind
     assert found.side_presses <= 1
 
 
+@pytest.mark.nightly
 def test_a_corridor_in_which_it_cannot_turn_has_ways_at_one_heading_only():
     def list_headings(width):
         """Headings from which there is a way to the exit, in the middle of the corridor."""

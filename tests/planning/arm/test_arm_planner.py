@@ -72,6 +72,7 @@ def test_manipulability_is_the_volume_by_finite_differences():
     assert posture.manipulability == pytest.approx(math.sqrt(np.linalg.det(jacobian @ jacobian.T)), rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_what_is_out_of_reach_or_no_target_is_said():
     planner, state = make_planner()
     assert planner.solve_ik((50.0, 0.0, 1.0), state) == []

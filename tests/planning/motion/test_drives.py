@@ -109,6 +109,7 @@ def make_passage(length: float, width: float) -> tuple[RoomInstance, MotionSampl
     return room, MotionSampler(room, LIMITS)
 
 
+@pytest.mark.nightly
 def test_a_passage_too_narrow_to_turn_in_is_driven_straight_through():
     room, sampler = make_passage(0.6, 0.9)
     state = RoomPlanner(room).rules.make_state(room.starts[0])._replace(x=-6.0, y=3.0, heading_steps=0, touching=0)
@@ -139,6 +140,7 @@ def test_a_turn_is_free_where_the_base_meets_nothing_at_any_angle_of_it():
     assert 10 < sum(seen) < 90
 
 
+@pytest.mark.nightly
 def test_options_of_a_rectangle_that_drives_escape():
     env = OptionsEnv(EscapeRoomContinuousEnv(instance=make("paper-two-button", 0)))
     _, info = env.reset(seed=0)

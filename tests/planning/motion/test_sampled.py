@@ -67,6 +67,7 @@ def test_one_seed_gives_one_motion_and_the_planner_of_the_way_can_be_chosen():
         make(config)[1].plan(state, "press-button-44")
 
 
+@pytest.mark.nightly
 def test_a_sampled_motion_is_tracked_to_the_press():
     planner, sampler, state = make(get_preset("arm-two-button"))
     env = EscapeRoomContinuousEnv(instance=planner.instance)
@@ -124,6 +125,7 @@ def test_what_no_way_leads_to_is_a_failure_by_name():
         sampler.plan(wedged, PressGoal(0))
 
 
+@pytest.mark.nightly
 @pytest.mark.filterwarnings("error")
 def test_a_target_that_is_touched_is_left_and_pressed_again_or_refused():
     planner, sampler, state = make(get_preset("arm-two-button"))
@@ -167,6 +169,7 @@ def test_a_map_keeps_out_of_more_footprints():
     assert 20 < (more.are_free(places) != plain.are_free(places)).sum()
 
 
+@pytest.mark.nightly
 def test_a_motion_that_presses_another_target_too_is_not_taken():
     room = generate(get_preset("arm-two-button"), 0)
     first, second = room.targets

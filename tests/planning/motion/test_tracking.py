@@ -49,6 +49,7 @@ def test_physics_and_noise_press_the_same(name, dynamics, within):
     assert tracking.end is EpisodeEnd.ESCAPED and 1e-6 < tracking.distance < within
 
 
+@pytest.mark.nightly
 def test_a_trajectory_of_another_place_or_environment_is_refused():
     plan = solve(generate(list_configs()["paper-two-button"], 0))
     trajectory = make_trajectory(plan)

@@ -70,6 +70,7 @@ def test_trajectories_of_every_puzzle_body_and_hand_are_right():
     assert sum(not faults for _, _, faults in found) >= 97
 
 
+@pytest.mark.nightly
 def test_faults_are_found():
     """The check is no formality: the way to one target only, and limits halved."""
     plan = make_plan("paper-two-button", 0)
@@ -89,6 +90,7 @@ def test_a_way_goes_round_targets_that_its_plan_does_not_press():
     assert pressed == [k for a, b in states for k in range(8) if (b.touching & ~a.touching) >> k & 1]
 
 
+@pytest.mark.nightly
 def test_a_trajectory_that_would_press_more_than_its_plan_is_refused():
     """A differential drive follows the plan's own lines, which here cross a pad between the ends of two primitives."""
     config = get_preset("pin-pad")
@@ -98,6 +100,7 @@ def test_a_trajectory_that_would_press_more_than_its_plan_is_refused():
         make_trajectory(plan)
 
 
+@pytest.mark.nightly
 def test_targets_that_a_plan_touches_in_one_primitive_are_pressed_with_the_same_effect():
     """Here the shortest way touches button 6 before button 3, which it locks, so that the exit stays shut."""
     plan = solve(generate(get_preset("dead-ends"), 78))

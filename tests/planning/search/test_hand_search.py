@@ -129,6 +129,7 @@ def compare(counts, seeds) -> tuple[int, int, int, int]:
     return jointly, thorough, by_legs, fewest
 
 
+@pytest.mark.nightly
 def test_escapes_by_hand_are_within_a_percent_of_the_joint_optimum():
     jointly, thorough, by_legs, fewest = compare((1,), (2, 3))
     assert thorough <= 1.01 * fewest and thorough <= jointly < by_legs

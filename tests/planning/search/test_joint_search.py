@@ -97,6 +97,7 @@ def test_escapes_with_up_to_six_buttons_are_within_a_percent_of_the_joint_optimu
     assert jointly <= 1.01 * fewest and jointly < by_legs
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("preset", "seed"), [("clutter", 3), ("paper-two-button", 0), ("lights-out", 0)])
 def test_joint_escapes_come_true_and_are_no_longer_than_leg_after_leg(preset, seed):
     planner = RoomPlanner(generate(get_preset(preset), seed))

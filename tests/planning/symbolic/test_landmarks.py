@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,6 +33,7 @@ def can_reach(model, facts, goal, without=""):
             return goal <= true
 
 
+@pytest.mark.nightly
 @given(MODELS, SOME, SOME)
 @settings(max_examples=100)
 def test_they_are_those_without_which_the_goal_is_out_of_reach(model, facts, goal):
@@ -45,6 +47,7 @@ def test_they_are_those_without_which_the_goal_is_out_of_reach(model, facts, goa
                            and not can_reach(model, facts, {fact}, each)}
 
 
+@pytest.mark.nightly
 @given(MODELS, SOME, st.sampled_from(FACTS))
 @settings(max_examples=100)
 def test_the_fewest_operators_make_a_plan_as_long_as_the_distance(model, facts, wanted):

@@ -70,10 +70,10 @@ class SharsaSettings(AgentSettings):
     """Steps of the clock before the first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates for each step of the clock. More learn more from the same experience and take longer."""
-    stream_updates: Annotated[int, Range(1)] = 16
+    max_updates: Annotated[int, Range(1)] = 16
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
-    stream_replay: Annotated[int, Range(1)] = 128
+    replay_per_env: Annotated[int, Range(1)] = 128
     """Smallest replay capacity per environment with many environments, in decisions."""
     passes: Annotated[int, Range(1)] = 50
     """Passes over the data, if `train` has no budget."""

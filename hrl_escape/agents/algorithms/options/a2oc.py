@@ -67,7 +67,7 @@ class A2OCSettings(AgentSettings):
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 20
     """Decisions collected before each update."""
-    stream_rollout: Annotated[int, Range(1)] = 20
+    rollout_per_env: Annotated[int, Range(1)] = 20
     """Least decisions of each of many environments, on average, in a rollout."""
     epsilon: Annotated[float, Range(0, 1)] = 0.1
     """Probability of a random option, and weight of the mean in the value of ending an option. More explores more."""

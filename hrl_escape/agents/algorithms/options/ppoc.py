@@ -73,7 +73,7 @@ class PPOCSettings(AgentSettings):
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all environments together. More make steadier updates, and
     fewer of them."""
-    stream_rollout: Annotated[int, Range(1)] = 32
+    rollout_per_env: Annotated[int, Range(1)] = 32
     """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
     many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10

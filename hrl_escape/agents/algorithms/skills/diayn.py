@@ -71,7 +71,7 @@ class DIAYNSettings(AgentSettings):
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all environments together."""
-    stream_rollout: Annotated[int, Range(1)] = 32
+    rollout_per_env: Annotated[int, Range(1)] = 32
     """Least decisions of each of many environments, on average, in a rollout. A rollout above `rollout` is cut into as
     many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10

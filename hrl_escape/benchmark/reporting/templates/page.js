@@ -24,16 +24,17 @@ function pick(role, then) {
 const measure = (box) => Math.max(300, box.clientWidth - 10); // a chart's unit is a pixel, so that words stay legible
 const percent = (v) => `${Number((100 * v).toPrecision(3))} %`;
 const METRICS = {
+  return: { title: "return", source: "return", isFree: true, interval: "t", note: "Undiscounted return of an evaluation episode." },
   efficiency: { title: "efficiency", source: "efficiency", note: "Efficiency is 0 without escape, else the fewest primitives known over those taken." },
   progress: { title: "progress", source: "progress", yRange: [0, 1], note: "Share of the facts on the way to the goal that hold at best in an episode." },
   score: { title: "return score", source: "score", note: "A return score of 1 is the best known return, 0 is never escaping." },
   gap: { title: "gap to the best known", source: "efficiency", yLog: true, yReverse: true, turn: (v) => Math.max(5e-4, 1 - v),
     yRange: [5e-4, 1], format: (v) => (v < 6e-4 ? "< 0.0006" : formatNumber(v)),
     note: "What is missing to an efficiency of 1, on a logarithmic scale: higher is closer to the best known escape." },
-  success: { title: "episodes that escape", source: "success", yRange: [0, 1], format: percent,
-    note: "Share of evaluation episodes that end in an escape." },
+  success: { title: data.has_rooms ? "episodes that escape" : "episodes that succeed", source: "success", yRange: [0, 1], format: percent,
+    note: `Share of evaluation episodes that end in ${data.has_rooms ? "an escape" : "success"}.` },
   length: { title: "primitives an episode", source: "length", yLog: true, yReverse: true,
-    note: "Primitives an evaluation episode takes, escaped or not, on a logarithmic scale: higher is shorter." },
+    note: "Primitives an evaluation episode takes, successful or not, on a logarithmic scale: higher is shorter." },
 };
 const AXES = { primitives: "primitives of training", decisions: "decisions of training", seconds: "seconds of training" };
 const getMetric = pick("metric", drawCurves), getAgainst = pick("against", drawCurves), getRoom = pick("room", drawCurves);
@@ -49,7 +50,7 @@ function drawCurves() {
   });
   const all = series.flatMap((s) => (s.thin ? s.y : [...s.low, ...s.high]));
   const range = metric.yRange || (metric.yLog ? [Math.max(1, Math.min(...all)) * 0.85, Math.max(...all) * 1.15]
-    : [Math.min(0, ...all), Math.max(1, ...all)]);
+    : metric.isFree ? [Math.min(...all), Math.max(...all) + 1e-9] : [Math.min(0, ...all), Math.max(1, ...all)]);
   const box = document.getElementById("curve-chart"), width = measure(box);
   drawChart(box, series, {
     width, height: Math.max(width > 620 ? 400 : 300, width > 620 ? 70 + 17 * series.length : 0), xTitle: AXES[against], xUnit: against, yTitle: metric.title, yLog: metric.yLog,
@@ -60,7 +61,7 @@ function drawCurves() {
   const axis = against === "primitives" ? "" : ` An agent's line ends where its budget of primitives was spent: after ${against === "decisions"
     ? "as many decisions as that took; an option is one decision of many primitives." : "so much training, evaluations left out."}`;
   document.getElementById("curve-note").textContent = `${metric.note} Lines are interquartile means over runs${
-    ["progress", "success"].includes(metric.source) ? " (here means)" : ""}, bands 95 % intervals; dashes act without options; thin lines without a band are agents without training.${axis}`;
+    ["progress", "success", "return"].includes(metric.source) ? " (here means)" : ""}, bands 95 % ${metric.interval || ""} intervals; dashes act without options; thin lines without a band are agents without training.${axis}`;
 }
 
 const legend = document.querySelector(".legend");
@@ -99,8 +100,8 @@ function drawProfile() {
   const box = document.getElementById("profile-chart");
   drawChart(box, series, {
     width: measure(box), height: 330, step: true, yRange: [0, 1.02], yTitle: "share of runs above", yFormat: percent,
-    xTitle: close ? "efficiency (logarithmic towards 1)" : "efficiency", xUnit: "", xLog: close, xReverse: close,
-    xRange: close ? [9e-4, 1] : [Math.min(0, data.thresholds[0]), 1], tipFormat: percent,
+    xTitle: close ? "efficiency (logarithmic towards 1)" : data.measure, xUnit: "", xLog: close, xReverse: close,
+    xRange: close ? [9e-4, 1] : data.has_rooms ? [Math.min(0, data.thresholds[0]), 1] : [data.thresholds[0], data.thresholds.at(-1)], tipFormat: percent,
     xFormat: (v) => (close ? String(Number((1 - v).toPrecision(4))) : formatNumber(v)),
   });
 }
@@ -108,8 +109,8 @@ function drawProfile() {
 // --- replays -------------------------------------------------------------------------------
 
 const players = [];
-const getKind = pick("replay-kind", showCards), getReplayRoom = pick("replay-room", showCards);
-const playAll = document.getElementById("play-all");
+const [getKind, getReplayRoom] = data.has_rooms ? [pick("replay-kind", showCards), pick("replay-room", showCards)] : [];
+const playAll = document.getElementById("play-all"); // only in rooms
 
 function makePlayer(box, number, compact) {
   const replay = data.replays[number];
@@ -149,7 +150,7 @@ function showCards() {
   });
 }
 
-playAll.addEventListener("click", () => {
+playAll?.addEventListener("click", () => {
   const start = !players.some((player) => player.playing);
   for (const player of players) {
     if (start) { player.time = 0; player.play(); } else player.pause();
@@ -165,7 +166,7 @@ for (const box of document.querySelectorAll("[data-replay]")) {
 }
 drawCurves();
 drawProfile();
-showCards();
+if (data.has_rooms) showCards();
 let drawnAt = window.innerWidth;
 window.addEventListener("resize", () => {
   if (window.innerWidth === drawnAt) return;

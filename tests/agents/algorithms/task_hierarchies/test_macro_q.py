@@ -65,6 +65,7 @@ def test_random_walks_last_as_long_as_the_paper_s_room_makes_them():
     assert walk_at_random(CENTRE, past=True) == pytest.approx(3_317_424, rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_every_primitive_and_macro_is_worth_its_exact_value():
     """It sees a macro's reward without discount, gamma^1 in place of gamma^k, and a maximum at the wrong state."""
     env = EmptyRoom(EDGE, horizon=None)

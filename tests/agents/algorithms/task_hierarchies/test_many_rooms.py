@@ -42,8 +42,8 @@ from tests.agents.algorithms.test_exact_smdps import (
 )
 from tests.agents.running import interact
 from tests.agents.small_envs import solve
+from tests.agents.training.test_many_envs import Interrupted, InterruptedRooms
 from tests.agents.training.test_resuming import flatten
-from tests.agents.training.test_streams import Interrupted, InterruptedRooms
 
 GIVEN = [kind for kind in READ if kind.__module__.startswith("hrl_escape.agents.algorithms.task_hierarchies")]
 

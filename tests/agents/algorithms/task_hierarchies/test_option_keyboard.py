@@ -67,6 +67,7 @@ def test_successor_features_solve_their_equations_and_skills_take_the_shortest_w
         assert own[:, :, skill] == pytest.approx(best, abs=1e-9)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("chord", [(-1, 1, 0), (-1, -1, 1), (0.2, 1, -1), (1, 1, 1)])
 def test_a_chord_is_at_least_as_good_as_each_skill_everywhere(chord):
     """The theorem of generalised policy improvement, by exact evaluation of the policy that is played."""

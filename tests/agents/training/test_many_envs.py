@@ -25,9 +25,9 @@ from tests.agents.training.test_resuming import flatten
 
 GAMMA, ACTIONS = 0.9, 3
 CPU = torch.device("cpu")
-SMALL = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}
-SMALL_DQN = {"hidden": (8,), "batch_size": 8, "warmup": 20, "replay_capacity": 100, "stream_replay": 8}
-SMALL_A2OC = {"hidden": (8,), "rollout": 64, "stream_rollout": 4}
+SMALL = {"hidden": (8,), "rollout": 64, "rollout_per_env": 4, "epochs": 2, "batch_size": 16}
+SMALL_DQN = {"hidden": (8,), "batch_size": 8, "warmup": 20, "replay_capacity": 100, "replay_per_env": 8}
+SMALL_A2OC = {"hidden": (8,), "rollout": 64, "rollout_per_env": 4}
 SETTINGS = {**dict.fromkeys(("ppo", "dac", "ppoc", "diayn"), SMALL),
             **dict.fromkeys(("dqn", "sarsa"), SMALL_DQN), "rainbow": SMALL_DQN | {"noise": 0.5},
             "ddpg": SMALL_DQN | {"actor_warmup": 20}, "a2oc": SMALL_A2OC, "q-learning": {}, "r-max": {"visits": 2}}
@@ -336,6 +336,7 @@ def test_episodes_that_cannot_be_written_down_are_made_again_and_begin_anew_afte
     assert train("ppo", make_interrupted("poles"), out=tmp_path / "cut", **arguments) == whole
 
 
+@pytest.mark.nightly
 def test_environments_that_do_not_do_the_same_again_begin_anew_and_a_warning_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 64)
     arguments = {"primitives": 400, "eval_episodes": 0, "settings": SMALL, "checkpoint_seconds": 0.0}
@@ -401,6 +402,7 @@ def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_
     assert sum(int(rollout.over.sum()) for rollout in learned) > 8, "some were cut"
 
 
+@pytest.mark.nightly
 def test_training_sets_the_discount_of_options_to_the_agents():
     env = BatchedOptionsEnv(4, "paper-one-button", discount=0.9, include_primitives=False)
     train("smdp-ppo", env, primitives=200, settings={**SMALL, "gamma": 0.5}, eval_episodes=0)
@@ -447,6 +449,7 @@ def test_a_run_in_many_environments_ends_with_two_evaluations_that_are_good_enou
     assert len(ended.evaluations) == 2 < len(whole.evaluations)
 
 
+@pytest.mark.nightly
 def test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_of_its_own_choices():
     agent = train("ppo", make_rooms(), primitives=300, seed=1, settings=SMALL, eval_episodes=0).agent
     batches, compute_loss = [], agent.compute_loss

@@ -160,7 +160,7 @@ def test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_lim
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
 
     counts = []
-    for settings in ({"stream_updates": 1}, {"stream_updates": 4}, {}):
+    for settings in ({"max_updates": 1}, {"max_updates": 4}, {}):
         many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
         agent = train("dqn", many, primitives=1_000, eval_env=make(), eval_episodes=0,
                       settings=DEEP | settings | {"gamma": 0.9}).agent

@@ -8,7 +8,7 @@ from hrl_escape.agents import load_agent, train
 from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
-from hrl_escape.options.memory import MEMORY_WORDS, MemoryStreams
+from hrl_escape.options.memory import MEMORY_WORDS, VectorDecisionMemory
 from tests.agents.training.test_resuming import flatten
 from tests.options.test_memory import make_config
 
@@ -39,7 +39,7 @@ def recall(history, lit):
 @pytest.mark.nightly_for("1-reset")
 @pytest.mark.parametrize(("count", "rule"), [(1, "reset"), (64, "ignore")])
 def test_every_room_remembers_its_own_decisions(count, rule):
-    streams, rng = MemoryStreams(make_streams(count, rule)), np.random.default_rng(0)
+    streams, rng = VectorDecisionMemory(make_streams(count, rule)), np.random.default_rng(0)
     streams.reset(3)
     histories, checked = [[] for _ in range(count)], 0
     for _ in range(400 if count == 1 else 60):
@@ -64,16 +64,17 @@ def test_every_room_remembers_its_own_decisions(count, rule):
 
 def test_observations_without_rows_are_refused():
     with pytest.raises(UnsupportedError, match="observation='objects'"):
-        MemoryStreams(make_streams(2, observation="features"))
+        VectorDecisionMemory(make_streams(2, observation="features"))
 
 
 @pytest.mark.nightly
 def test_an_agent_trains_with_it_and_resumes_to_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.many_envs.SEGMENT_PRIMITIVES", 128)
-    settings = {"network": "objects", "hidden": (8,), "rollout": 64, "stream_rollout": 4, "batch_size": 16, "epochs": 2}
+    settings = {"network": "objects", "hidden": (8,), "rollout": 64, "rollout_per_env": 4, "batch_size": 16,
+                "epochs": 2}
     arguments = {"primitives": 900, "eval_every": 450, "eval_episodes": 1, "settings": settings,
                  "checkpoint_seconds": 0.0}
-    whole, cut = (MemoryStreams(make_streams(8)) for _ in range(2))
+    whole, cut = (VectorDecisionMemory(make_streams(8)) for _ in range(2))
     step, left = cut.step, iter(range(60))
 
     def stop(action):
@@ -85,6 +86,6 @@ def test_an_agent_trains_with_it_and_resumes_to_the_same_bits(tmp_path, monkeypa
     result = train("smdp-ppo", whole, out=tmp_path / "whole", **arguments)
     with pytest.raises(KeyboardInterrupt):
         train("smdp-ppo", cut, out=tmp_path / "cut", **arguments)
-    resumed = train("smdp-ppo", MemoryStreams(make_streams(8)), out=tmp_path / "cut", **arguments)
+    resumed = train("smdp-ppo", VectorDecisionMemory(make_streams(8)), out=tmp_path / "cut", **arguments)
     assert resumed == result and flatten(resumed.agent.state_dict()) == flatten(result.agent.state_dict())
     assert load_agent(tmp_path / "cut").made_for == 4

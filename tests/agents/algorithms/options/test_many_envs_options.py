@@ -21,7 +21,7 @@ from tests.agents.algorithms.options.test_option_networks import (
     read,
     softmax,
 )
-from tests.agents.training.test_streams import SMALL, Counting, make_life, make_rooms, sum_returns
+from tests.agents.training.test_many_envs import SMALL, Counting, make_life, make_rooms, sum_returns
 
 CPU = torch.device("cpu")
 PRIMITIVES = 60
@@ -112,7 +112,7 @@ def live(count, monkeypatch, **settings):
     """An agent that lived so many streams and learned from all of it at once, and what it was taught."""
     agent = make("dac", rollout=10**6, epochs=1, batch_size=16, learning_rate=1e-4, **settings)
     lives = Lives(agent, count, count)
-    agent.settings = replace(agent.settings, rollout=lives.decisions, stream_rollout=1)
+    agent.settings = replace(agent.settings, rollout=lives.decisions, rollout_per_env=1)
     taught = spy(agent, monkeypatch)
     before = {name: network.weights.clone() for name, network in agent.heads.networks.items()}
     lives.run()
@@ -129,7 +129,7 @@ def test_with_equal_values_both_processes_are_taught_the_returns_summed_by_hand(
     agent.heads.critic[-1].weight.data.zero_()
     agent.heads.critic[-1].bias.data.fill_(0.7)
     lives = Lives(agent, count, count)
-    agent.settings = replace(agent.settings, rollout=lives.decisions, stream_rollout=1)
+    agent.settings = replace(agent.settings, rollout=lives.decisions, rollout_per_env=1)
     taught = spy(agent, monkeypatch)
     lives.run()
     rollout = taught["rollout"]
@@ -220,7 +220,7 @@ def test_streams_draw_ends_and_options_with_the_chances_that_are_kept_with_them(
 
 @pytest.mark.parametrize("name", ["dac", "ppoc"])
 def test_a_decision_that_outlasts_its_rollout_keeps_the_chances_that_it_was_made_with(name, monkeypatch):
-    agent = make(name, rollout=4, stream_rollout=1, batch_size=4, epochs=2, learning_rate=0.05, **(
+    agent = make(name, rollout=4, rollout_per_env=1, batch_size=4, epochs=2, learning_rate=0.05, **(
         {"least_samples": 2} if name == "ppoc" else {}))
     agent.begin_episodes(3, CPU)
     rng = np.random.default_rng(0)
@@ -257,7 +257,7 @@ def test_the_choice_of_an_option_is_taught_with_the_chance_that_it_was_made_with
     """Two rollouts of many streams: in the second some decisions are older than the networks."""
     agent = make("dac", rollout=10**6, batch_size=8, epochs=2, learning_rate=0.05)
     lives = Lives(agent, 8, 3)
-    agent.settings = replace(agent.settings, rollout=lives.decisions // 2, stream_rollout=1)
+    agent.settings = replace(agent.settings, rollout=lives.decisions // 2, rollout_per_env=1)
     taught = spy(agent, monkeypatch)
     lives.run()
     kept = taught["choices"].log_probability.exp().numpy()
@@ -284,7 +284,7 @@ def test_with_one_option_it_is_ppo_in_many_rooms_to_the_bit(name, settings):
 @pytest.mark.parametrize("name", ["dac", "ppoc"])
 def test_no_outcome_shows_the_next_episode_and_no_option_goes_on_into_it(name, mode):
     env = SyncVectorEnv([Counting] * 3, autoreset_mode=mode)
-    settings = {"rollout": 30, "stream_rollout": 1, "epochs": 1, "hidden": (4,), "scale_observations": False}
+    settings = {"rollout": 30, "rollout_per_env": 1, "epochs": 1, "hidden": (4,), "scale_observations": False}
     agent = make_agent(name, env.single_observation_space, env.single_action_space, 0, **settings)
     learned, learn = [], agent._learn
     agent._learn = lambda rollout, choices: (learned.append((rollout, choices)), learn(rollout, choices))[1]
