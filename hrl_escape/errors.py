@@ -34,12 +34,15 @@ class EscapeError(Exception):
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 200
 _SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 12
+_SHORT.maxlevel = 3
+_LONGEST_SHOWN = 400
 
 
 def show_value(value: object) -> str:
     """Return the value as Python writes it, shortened if it is long."""
     try:
-        return _SHORT.repr(value)
+        shown = _SHORT.repr(value)
+        return shown if len(shown) <= _LONGEST_SHOWN else f"{shown[:_LONGEST_SHOWN]}..."
     except ValueError:  # an integer with more digits than Python converts
         return "a number of thousands of digits"
 

@@ -12,8 +12,10 @@ import json
 import os
 import re
 import stat
+import struct
 import sys
 import tempfile
+import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -35,6 +37,8 @@ DEEPEST = 100
 """Most levels of lists and tables in a JSON or TOML file."""
 LARGEST_PARSED = 2**30
 """Most memory for the values of a JSON file, bytes (1 GiB), as `_estimate_memory` counts it."""
+LARGEST_MEMBER_LIST = 2**22
+"""Largest list of members of a zip, bytes (4 MiB, some 40,000 members)."""
 DOTTED_KEY = re.compile(r"""(?<![\w.-])(?<!\.[ \t])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)"""
                         f"{{{DEEPEST}}}", re.ASCII)
 """Matches keys with more parts than this, for which the TOML parser takes quadratic time."""
@@ -157,6 +161,32 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
         raise FileReadError(f"{path}: cannot read this {what}: {getattr(error, 'strerror', None) or error}") from error
 
 
+@contextmanager
+def open_zip(file: IO[bytes], largest: int = LARGEST_MEMBER_LIST) -> Iterator[zipfile.ZipFile]:
+    """Open a zip for reading, after a check of the size of its list of members, which `zipfile` reads whole.
+
+    Args:
+        file: the open file.
+        largest: largest size of the list, bytes.
+
+    Raises:
+        ValueError: the file does not end as a zip does, has a comment, or its list is larger.
+    """
+    file.seek(-min(98, file.seek(0, os.SEEK_END)), os.SEEK_END)
+    end = file.read().rjust(98, b"\0")  # 22 bytes; in a zip of 64 bits 56 and 20 more before them
+    if end[76:80] != b"PK\5\6" or end[96:] != b"\0\0":
+        raise ValueError("it does not end as a zip does")
+    (size,) = struct.unpack("<L", end[88:92])
+    if end[56:60] == b"PK\6\7":
+        if end[:4] != b"PK\6\6":
+            raise ValueError("it does not end as a zip does")
+        (size,) = struct.unpack("<Q", end[40:48])
+    if size > largest:
+        raise ValueError(f"its list of members has {size:,} bytes; at most {largest:,} are read here")
+    with zipfile.ZipFile(file) as archive:
+        yield archive
+
+
 def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest: int) -> None:
     """Check files before a library opens them: plain, of known kinds, and not too large together.
 
@@ -193,14 +223,14 @@ def read_json(path: str | os.PathLike[str], what: str = "JSON file") -> Any:
     return parse_json(read_text(path, what), path, what)
 
 
-def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str) -> Any:
-    """Parse the text of a JSON file, as in `read_json`."""
+def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str, *, takes_nan: bool = False) -> Any:
+    """Parse the text of a JSON file, as in `read_json`; with `takes_nan`, NaN and infinities are numbers."""
     needed = _estimate_memory(text)
     if needed > LARGEST_PARSED:
         raise FileReadError(f"{path}: this {what} cannot be read: its values may take {needed >> 20:,} MiB of memory; "
                             f"at most {LARGEST_PARSED >> 20:,} are read here")
     try:
-        value = json.loads(text, parse_constant=_refuse_constant)
+        value = json.loads(text, parse_constant=None if takes_nan else _refuse_constant)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise FileReadError(f"{path}: this {what} is truncated or not JSON: {error.msg} at {where}") from error

@@ -37,6 +37,16 @@ def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
     return markup.escape(plain)
 
 
+def make_markdown_text(text: str) -> str:
+    """Make a text that Markdown shows as it is, on one line and within a cell of a table, without tags and links.
+
+    Pairs of backticks stay, and mark code.
+    """
+    plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+    safe = plain.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return re.sub(r"([\\|\[\]])", r"\\\1", safe)
+
+
 def parse_whole(text: str) -> int | None:
     """Return the number in a name such as `clutter#3`: at most 18 digits, 0 to 9, or None for any other text."""
     return int(text) if re.fullmatch("[0-9]{1,18}", text) else None

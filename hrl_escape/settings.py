@@ -20,6 +20,7 @@ import functools
 import inspect
 import itertools
 import math
+import numbers
 import textwrap
 import types
 from collections.abc import Callable, Iterator, Mapping
@@ -248,6 +249,27 @@ def read_record(kind: type[Dataclass], data: Any, path: str = "") -> Dataclass:
         raise ConfigError(*refusal.args) from None
 
 
+def read_argument(hint: Any, name: str, value: Any) -> Any:
+    """Check an argument of a function as a field of settings is checked, and return it; numbers may be numpy's.
+
+    Args:
+        hint: its annotation, such as `Annotated[float, Range(0, 1)]`.
+        name: its name in messages.
+        value: the argument.
+
+    Raises:
+        ConfigError: the value is not valid.
+    """
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool):
+        value = int(value)
+    elif isinstance(value, numbers.Real) and not isinstance(value, bool):
+        value = float(value)
+    try:
+        return _make_reader(hint).read(name, value)
+    except _Refusal as refusal:
+        raise ConfigError(*refusal.args) from None
+
+
 # --- descriptions ----------------------------------------------------------------------
 
 
@@ -332,6 +354,8 @@ def _make_reader(hint: Any, limits: Range | None = None) -> _Reader:
         return _make_union_reader(arguments)
     if origin is tuple:
         return _make_tuple_reader(arguments)
+    if origin is dict:
+        return _make_dict_reader(*arguments)
     if origin is Literal:
         return _make_test_reader("one of " + ", ".join(map(repr, arguments)),
                                  lambda value: isinstance(value, type(arguments[0])) and value in arguments)
@@ -421,6 +445,18 @@ def _make_tuple_reader(hints: tuple[Any, ...]) -> _Reader:
                      for i, (reader, item) in enumerate(zip(readers, value, strict=True)))
         is_same = isinstance(value, tuple) and all(new is old for new, old in zip(made, value, strict=True))
         return value if is_same else made
+
+    return _Reader(allowed, read)
+
+
+def _make_dict_reader(key: Any, item: Any) -> _Reader:
+    keys, items = _make_reader(key), _make_reader(item)
+    allowed = "a table" if item is Any else f"a table, each {items.allowed}"
+
+    def read(path: str, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise _Refusal(path, value, allowed)
+        return {keys.read(f"{path}: a name", name): items.read(f"{path}.{name}", each) for name, each in value.items()}
 
     return _Reader(allowed, read)
 

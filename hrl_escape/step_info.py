@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import numbers
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.errors import DiscountMismatchError, StepContractError
+from hrl_escape.errors import ActionError, DiscountMismatchError, StepContractError
 
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Values of `info["option"]["ended"]`."""
@@ -26,6 +27,21 @@ CHANGED = (
     "OptionsEnv(ClipReward(env), ...)"
 )
 """Message for a reward that differs from the rewards of the primitives."""
+
+
+def read_action(action: Any, count: int) -> int:
+    """Return an action as a whole number.
+
+    Raises:
+        ActionError: it is not one of 0 to count - 1.
+    """
+    try:
+        index = operator.index(action)
+    except TypeError:
+        raise ActionError(action, count) from None
+    if not 0 <= index < count:
+        raise ActionError(action, count)
+    return index
 
 
 class Payment(NamedTuple):

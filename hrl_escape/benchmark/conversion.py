@@ -11,6 +11,7 @@ import io
 import json
 import re
 import tempfile
+import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -35,8 +36,8 @@ from hrl_escape.agents.training.run_folder import BEST, LAST
 from hrl_escape.agents.training.run_folder import FORMAT as RUN_FORMAT
 from hrl_escape.benchmark.agent_archive import RUN, AgentCard, RoomResult, check_results, write_archive
 from hrl_escape.benchmark.grid import GRID_FORMAT, Grid
-from hrl_escape.errors import AgentSettingsError, FileReadError, UnsupportedError
-from hrl_escape.files import open_plain, read_json, read_text, read_toml, write_json, write_text
+from hrl_escape.errors import AgentSettingsError, EscapeError, FileReadError, UnsupportedError, describe_damage
+from hrl_escape.files import open_plain, open_zip, read_json, read_text, read_toml, write_json, write_text
 from hrl_escape.sets.room_spec import renew_room
 
 _SUBMISSION = ArchiveKind("a submission of version 0.3", re.compile(r"submission\.json|cells\.csv|run\.zip"),
@@ -61,12 +62,15 @@ def convert_file(path: Path, out: Path) -> str:
         UnsupportedError: the file is of another kind or version.
         FileWriteError: `out` cannot be written.
     """
-    if path.is_dir():
-        return _convert_folder(path, out)
-    if path.suffix.lower() in (".toml", ".json"):
-        return _convert_grid_file(path, out)
-    if path.suffix.lower() == ".zip":
-        return _convert_archive(path, out)
+    convert = (_convert_folder if path.is_dir() else _convert_grid_file if path.suffix.lower() in (".toml", ".json") else
+               _convert_archive if path.suffix.lower() == ".zip" else None)
+    if convert is not None:
+        try:
+            return convert(path, out)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            if isinstance(error, EscapeError):
+                raise
+            raise FileReadError(f"{path}: this file of version 0.3 is damaged ({describe_damage(error)})") from error
     if not path.exists():
         raise FileReadError(f"{path}: no such file or folder")
     raise UnsupportedError(f"{path}: convert takes the folder or archive of a run, a trained agent, or a grid (.toml, "
@@ -147,13 +151,12 @@ def _convert_archive(path: Path, out: Path) -> str:
 
 
 def _list_members(path: Path) -> list[str]:
-    import zipfile
-
     with open_plain(path, "archive", largest=2**32) as file:
         try:
-            return [name for name in zipfile.ZipFile(file).namelist() if name != "manifest.json"]
-        except zipfile.BadZipFile as error:
-            raise FileReadError(f"{path}: this is no archive: {error}") from error
+            with open_zip(file) as archive:
+                return [name for name in archive.namelist() if name != "manifest.json"]
+        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError) as error:
+            raise FileReadError(f"{path}: this is no archive: {describe_damage(error)}") from error
 
 
 def _list_parts(folder: Path, names: Iterable[str]) -> dict[str, Path | bytes]:

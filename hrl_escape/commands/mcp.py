@@ -11,11 +11,15 @@ The recorded game can be replayed and compared: see the page on tools.
 from __future__ import annotations
 
 import dataclasses
+import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
+from typing import IO
 
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.signals import Ended
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +33,8 @@ class McpArgs(RoomChoice):
     episode_seed: int = 0
     """Episode seed: fixes the start and the noise."""
     record: Path | None = None
-    """File for the game in JSON Lines, written after every call."""
+    """File for the game in JSON Lines, written when the game is over or the client disconnects: it contains the room
+    with everything that is hidden from the client. A file is for one server at a time."""
 
 
 def run(args: McpArgs) -> None:
@@ -44,13 +49,42 @@ def run(args: McpArgs) -> None:
     session = RoomSession(env, args.reveal)
     session.reset(seed=args.episode_seed)
 
-    def save() -> None:
-        if args.record is not None:
-            save_games(args.record, [record_game(session)])
+    is_saved = False
 
-    save()  # a file that cannot be written is refused before the game
-    try:
-        serve(make_server(session, save))
-    finally:
-        print(session.score(), file=sys.stderr)
-        env.close()
+    def save() -> None:
+        nonlocal is_saved
+        if args.record is not None and not is_saved:
+            save_games(args.record, [record_game(session)])
+            is_saved = True
+
+    with nullcontext() if args.record is None else _reserve(args.record):
+        ended = 0
+        try:
+            serve(make_server(session, lambda: save() if session.env.is_over else None))
+        except Ended as signal:
+            ended = signal.number
+        finally:
+            save()
+            print(session.score(), file=sys.stderr, flush=True)
+            env.close()
+        if ended:
+            os._exit(128 + ended)  # a thread that waits for the client's next line would keep the process alive
+
+
+def _reserve(path: Path) -> IO[bytes]:
+    """Open the file of a record and lock it, until it is replaced by the record or this process ends.
+
+    Raises:
+        RunBusyError: another process records into the file.
+        FileWriteError: the file cannot be written.
+    """
+    from hrl_escape.errors import RunBusyError
+    from hrl_escape.files import make_folder, open_for_writing
+    from hrl_escape.processes import take_lock
+
+    make_folder(path.parent)
+    file = open_for_writing(path)
+    if not take_lock(file):
+        file.close()
+        raise RunBusyError(f"{path}: another server records into this file. Choose another file for --record")
+    return file

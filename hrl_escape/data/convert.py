@@ -17,7 +17,7 @@ from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_rec
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EscapeError, FileReadError, VerificationError
-from hrl_escape.files import open_plain, parse_json, read_json, read_text, write_json
+from hrl_escape.files import open_plain, open_zip, parse_json, read_json, read_text, write_json
 from hrl_escape.names import number_options
 from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.options.options_env import OptionsEnv
@@ -59,8 +59,13 @@ def name_options(room: RoomInstance) -> tuple[str, ...]:
 
 def _convert_recording(path: Path, out: Path) -> str | None:
     with open_plain(path, "recording", largest=2**29) as file:
-        if not zipfile.is_zipfile(file) or "about.npy" not in zipfile.ZipFile(file).namelist():
-            return None
+        try:
+            with open_zip(file) as archive:
+                is_recording = "about.npy" in archive.namelist()
+        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
+            is_recording = False
+    if not is_recording:
+        return None
     recording = load_recording(path, version=1)
     count, actions = recording.primitive_count, list(recording.about["actions"])
     rooms = str(renew_room(str(recording.about["rooms"])))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -25,10 +25,12 @@ from hrl_escape.env.engine import make_renderer
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.observations.base import get_observation, make_observer
-from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.errors import FileReadError, UnknownNameError
 from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.settings import Range, read_argument
 
 DataLevel = Literal["primitives", "decisions"]
+_GAMMA = Annotated[float, Range(0, 1)]
 BLOCK = 65_536
 """Smallest number of primitives in a block; episodes are not divided."""
 
@@ -72,13 +74,12 @@ class DataSet:
 
     def __init__(self, recording: Recording, observation: str = "objects", level: DataLevel = "decisions",
                  gamma: float = 0.99, rooms: str = "test") -> None:
-        if level not in ("decisions", "primitives"):
-            raise ConfigError("level", level, "'decisions' or 'primitives'")
-        if not 0.0 <= gamma <= 1.0:
-            raise ConfigError("gamma", gamma, "a number from 0 to 1")
+        read_argument(DataLevel, "level", level)
         self.recording, self._rooms = recording, rooms
-        self.observation, self.level, self.gamma = observation, level, gamma
+        self.observation, self.level, self.gamma = observation, level, read_argument(_GAMMA, "gamma", gamma)
         self._vector = get_observation(observation).is_vector
+        if rooms != "test":
+            _ = self.test_rooms  # raises for an unknown set
 
     def __repr__(self) -> str:
         return f"<DataSet of {self.recording!r}: {self.observation}, {self.level}>"
@@ -101,13 +102,20 @@ class DataSet:
 
     @property
     def test_rooms(self) -> InstanceSet:
-        """Test rooms: another set of the rung, or the recording's rooms if they do not belong to a rung."""
+        """Test rooms: another set of the rung, or the recording's rooms if they do not belong to a rung.
+
+        Raises:
+            UnknownNameError: the rung has no such set.
+        """
         place = self.recording.rooms.place
-        if place is None or self._rooms == "own":
+        if self._rooms == "own" or (place is None and self._rooms == "test"):
             return self.recording.rooms
         from hrl_escape.sets.benchmark import load_benchmark
 
-        return load_benchmark(place["benchmark"])[place["rung"]].sets[self._rooms]
+        sets = {} if place is None else load_benchmark(place["benchmark"])[place["rung"]].sets
+        if self._rooms not in sets:
+            raise UnknownNameError("set of rooms", self._rooms, (*sets, "own"))
+        return sets[self._rooms]
 
     def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
         """Make the test environment, with the actions of the decisions or of the primitives."""
@@ -123,7 +131,7 @@ class DataSet:
         return self.read_decisions(self.gamma) if self.level == "decisions" else self.read_primitives()
 
     def read_decisions(self, gamma: float) -> RecordedDecisions:
-        """Read all decisions, with rewards discounted by gamma."""
+        """Read all decisions, with rewards discounted by gamma, from 0 to 1."""
         return _join(RecordedDecisions, list(self.blocks("decisions", gamma)))
 
     def read_primitives(self) -> Primitives:
@@ -135,8 +143,15 @@ class DataSet:
         """Yield the data in blocks of whole episodes, in order, each `Decisions` or `Primitives`.
 
         Each block except the last has at least `size` primitives. Level and discount default to the data set's.
+
+        Raises:
+            ConfigError: no such level, a discount outside 0 to 1, or a size below 1.
         """
-        every, gamma = (level or self.level) == "primitives", self.gamma if gamma is None else gamma
+        gamma = self.gamma if gamma is None else read_argument(_GAMMA, "gamma", gamma)
+        every = (self.level if level is None else read_argument(DataLevel, "level", level)) == "primitives"
+        return self._yield_blocks(every, gamma, read_argument(Annotated[int, Range(1)], "size", size))
+
+    def _yield_blocks(self, every: bool, gamma: float, size: int) -> Iterator[Any]:
         make = self._make_primitives if every else self._make_decisions
         gathered: list[RecordingEpisode] = []
         seen: list[NDArray[Any]] = []
@@ -163,6 +178,9 @@ class DataSet:
         state = begin_episode(rules, self.recording, episode.number)
         seen.append(observe(state))
         step, at, end = rules.step, 0, 0
+        if max(actions) >= len(rules.actions):
+            raise FileReadError(f"recording {self.name}: episode {episode.number} has the primitive {max(actions)}, and "
+                                f"its room {len(rules.actions)} primitives, counted from 0")
         for duration in durations:
             for action in actions[at : at + duration]:
                 if end:

@@ -16,17 +16,18 @@ import zipfile
 from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from hrl_escape.errors import FileReadError, OldFormatError, describe_damage
-from hrl_escape.files import atomic_writer, open_plain, parse_json
+from hrl_escape.files import atomic_writer, open_plain, open_zip, parse_json
 from hrl_escape.names import number_options
-from hrl_escape.sets.grammar import find_set
+from hrl_escape.sets.grammar import LARGEST_RANGE, find_set
 from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.settings import Range, read_record
 
 RECORDING_FORMAT = 2
 DYNAMICS = "EscapeRoom-v1"
@@ -41,6 +42,30 @@ FIELDS: Mapping[str, type] = {
     "action": np.int8,
 }
 _OF_EPISODES = ("episode_seed", "room", "decisions", "end")
+
+
+MOST_ACTIONS = 64
+"""Most actions of a recording: the bits of `Recording.legal`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingAbout:
+    """Table `about` of a recording, as a file must hold it; see `Recording`."""
+
+    name: str
+    kind: str
+    rooms: str
+    rooms_id: str
+    engine: str
+    dynamics: str
+    format: int
+    package: str
+    command: str
+    actions: tuple[str, ...]
+    primitive_count: Annotated[int, Range(0, MOST_ACTIONS)]
+    policies: tuple[str, ...]
+    scores: dict[str, float]
+    asked_primitives: int | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -109,9 +134,12 @@ class Recording:
         """Rooms of the recording.
 
         Raises:
-            FileReadError: in this version the text names other rooms.
+            FileReadError: in this version the text names other rooms, or fewer.
         """
         rooms = find_set(self.about["rooms"])
+        if len(self.room) and int(self.room.max()) >= len(rooms):
+            raise FileReadError(f"recording {self.about['name']}: it has episodes in room {self.room.max()}, and "
+                                f"{self.about['rooms']} has {len(rooms)} rooms, counted from 0")
         if rooms.describe()["id"] != self.about["rooms_id"]:
             raise FileReadError(f"recording {self.about['name']}: the set of rooms {self.about['rooms']} differs in "
                                 f"this version (recorded with hrl_escape {self.about['package']}); record it again")
@@ -153,15 +181,18 @@ def load_recording(path: str | os.PathLike[str], version: int = RECORDING_FORMAT
     """
     with open_plain(path, "recording", largest=LARGEST_RECORDING) as file:
         try:
-            with zipfile.ZipFile(file) as archive:
+            with open_zip(file) as archive:
                 members = {member.filename: member for member in archive.infolist()}
                 if members.keys() != {f"{name}.npy" for name in (*FIELDS, "about")}:
                     raise ValueError("it holds other arrays than a recording does")
                 if (total := sum(member.file_size for member in members.values())) > LARGEST_RECORDING:
                     raise ValueError(f"it claims {total:,} bytes, and at most {LARGEST_RECORDING:,} are read here")
                 about = parse_json(_read(archive, members["about.npy"], np.uint8).tobytes(), path, "recording")
+                if not isinstance(about, dict):
+                    raise ValueError("its `about` is not a table")
                 digest = about.pop("digest")
                 _check_version(path, about, version)
+                read_record(RecordingAbout, about, "about")
                 recording = Recording(about, **{name: _read(archive, members[f"{name}.npy"], dtype)
                                       for name, dtype in FIELDS.items()})
             if recording.digest != digest:
@@ -212,7 +243,10 @@ def _check_sizes(recording: Recording) -> None:
         if claimed != found:
             raise ValueError(f"its {name} stand for {claimed:,}, and it holds {found:,}")
     actions = len(recording.about["actions"])
-    limits = {"option": actions, "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(recording.about["policies"])}
+    if not recording.primitive_count <= actions <= MOST_ACTIONS:
+        raise ValueError(f"it has {actions} actions, of which {recording.primitive_count} are primitives; there are at "
+                         f"most {MOST_ACTIONS} actions")
+    limits = {"room": LARGEST_RANGE, "action": 2**7, "option": actions, "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(recording.about["policies"])}
     for name, limit in limits.items():
         array = getattr(recording, name)
         if len(array) and not 0 <= int(array.min()) <= int(array.max()) < limit:

@@ -7,7 +7,6 @@ and `engine.py` the engines. `hrl_escape.options` adds temporally extended actio
 from __future__ import annotations
 
 import hashlib
-import operator
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -28,8 +27,9 @@ from hrl_escape.env.poses import list_touched
 from hrl_escape.env.presets import ConfigForm, read_config
 from hrl_escape.env.rewards import Events
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
+from hrl_escape.errors import ClosedError, ConfigError, ResetNeededError
 from hrl_escape.spaces import bound_episodes, keep_space, make_vector_space
+from hrl_escape.step_info import read_action
 
 _EPISODE = ("_state", "_ended", "events", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed",
             "action_space", "observation_space")
@@ -263,13 +263,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def step(self, action: np.int64 | int) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Run one primitive, an index of the action table, and return Gymnasium's five values."""
         _, room = self._require_episode()
-        try:
-            number = operator.index(action)
-        except TypeError:
-            raise ActionError(action, self._count) from None
-        if not 0 <= number < self._count:
-            raise ActionError(action, self._count)
-        return self._finish(*room.step(number))
+        return self._finish(*room.step(read_action(action, self._count)))
 
     def _require_episode(self) -> tuple[RoomState, Engine]:
         room = self._get_room()

@@ -471,12 +471,12 @@ def _find_missing(given: Any, whole: Any, path: str) -> str | None:
 
 
 def check_room(instance: RoomInstance) -> None:
-    """Check that the walls enclose the floor and that the starts are free.
+    """Check that the walls enclose the floor, that the starts are free and that all things are on the floor.
 
     It does not check whether the room can be solved; the certificate does.
 
     Raises:
-        ConfigError: names the gap or the start.
+        ConfigError: names the gap, the start or the thing.
     """
     solids = [solid.footprint for solid in instance.all_solids]
     shapes = stack_footprints(solids)
@@ -495,6 +495,22 @@ def check_room(instance: RoomInstance) -> None:
         number = int(free.argmin())
         raise ConfigError(f"instance.starts[{number}]", starts[number].tolist(),
                           f"a place on the floor where {instance.robot.base.describe()} is clear of every solid")
+    _check_centres(instance)
+
+
+def _check_centres(instance: RoomInstance) -> None:
+    """Check that the centres of targets, props, inner doors and exit are on the floor."""
+    for name, things in (("targets", instance.targets), ("props", instance.props), ("inner_doors", instance.inner_doors)):
+        for number, thing in enumerate(things):
+            if not is_on_floor(instance, thing.x, thing.y, _OVERLAP):
+                raise ConfigError(f"instance.{name}[{number}]", (thing.x, thing.y), _describe_floor(instance))
+    if not is_on_floor(instance, *instance.exit.centre, _OVERLAP):
+        raise ConfigError("instance.exit", instance.exit.centre, _describe_floor(instance))
+
+
+def _describe_floor(instance: RoomInstance) -> str:
+    alcove = "" if instance.door is None else ", or in the alcove behind the exit door"
+    return (f"a centre on the floor, |x| <= {instance.half_width:g} m and |y| <= {instance.half_depth:g} m{alcove}")
 
 
 def does_base_fit(robot: RobotConfig, pose: Start, solids: Sequence[Footprint]) -> bool:

@@ -19,8 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.urdf import LARGEST_VISUAL, MESH_ENDINGS
-from hrl_escape.errors import FileReadError, MissingPackageError
-from hrl_escape.files import check_files
+from hrl_escape.errors import FileReadError, FileWriteError, MissingPackageError
+from hrl_escape.files import check_files, read_bytes, temporary_folder
+
+
+_GEOMETRY = re.compile(rb"^[ \t]*(?:v|vt|vn|f)[ \t](?:\\\r?\n|[^\n])*", re.MULTILINE)
+"""Lines of an OBJ file with vertices and faces. Others name more files, such as `mtllib`, which would be opened."""
 
 
 class TriangleMesh(NamedTuple):
@@ -53,8 +57,15 @@ def _load(path: str, _time: int, _size: int) -> TriangleMesh:
         import coal  # loads slowly
     except ImportError as missing:
         raise MissingPackageError("pin", "Reading a mesh", missing) from missing
+    content, ending = read_bytes(path, "mesh", LARGEST_VISUAL), Path(path).suffix.lower()
+    if ending == ".obj":
+        content = b"\n".join(_GEOMETRY.findall(content))
     try:
-        mesh = coal.MeshLoader().load(path)
+        with temporary_folder() as folder:
+            (folder / f"mesh{ending}").write_bytes(content)
+            mesh = coal.MeshLoader().load(str(folder / f"mesh{ending}"))
+    except FileWriteError:
+        raise
     except (OSError, RuntimeError, ValueError) as error:
         cause = re.search(r"Could not load resource .*\n(.*)", str(error))
         raise FileReadError(f"{path} is no mesh that assimp reads: {cause[1] if cause else type(error).__name__}"

@@ -7,7 +7,7 @@ A domain provides the state for options, the names of the primitives, and additi
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import gymnasium
@@ -20,7 +20,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import QUIET, RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.rewards import Events
-from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
+from hrl_escape.errors import OptionError, StepContractError, UnsupportedError, show_value
 from hrl_escape.options.option import Option
 from hrl_escape.options.option_sets import DEFAULT_SET, OptionSetSource, check_option_set
 
@@ -343,7 +343,10 @@ def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
     Raises:
         OptionError: two options share a name, one is not an option, or one was made for another room.
     """
-    made = tuple(source(subject) if callable(source) else source)
+    given: Any = source(subject) if callable(source) else source
+    if not isinstance(given, Iterable):
+        raise OptionError(f"options = {show_value(given)}: give a list of options, or a function that makes them")
+    made = tuple(given)
     for option in made:
         if not isinstance(option, Option):
             raise OptionError(f"{option!r} is not an Option: derive its class from Option, or make a FunctionOption")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import inspect
 import numbers
-import operator
 from collections.abc import Callable, Mapping
 from pkgutil import resolve_name
 from types import MappingProxyType
@@ -24,13 +23,14 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.errors import ActionError, ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
+from hrl_escape.errors import ConfigError, OptionError, PlanningFailed, ResetNeededError, UnsupportedError
 from hrl_escape.notebook import make_caption, make_html_table
 from hrl_escape.options.domain import DomainStep, OptionDomain, OptionsSource, make_option_domain, make_options
 from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice, read_termination
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningSummary
 from hrl_escape.spaces import PointingDiscrete
+from hrl_escape.step_info import read_action
 
 _SPECS = "hrl_escape.agents.training.env_description:find_spec"
 """Describes environments, which options do not know; imported when a spec is asked for."""
@@ -152,7 +152,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         )
         super().__init__(env)
         self._check(discount, max_duration, observation)
-        self._domain = make_option_domain(env) if domain is None else domain(env)
+        self._domain = _make_domain(domain, env)
         self.gamma = float(discount)
         self.interruptible, self.max_duration = interruptible, max_duration
         self._discounted, self._tracing = discounted_reward, trace
@@ -278,13 +278,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Run one primitive, or one option to its end; see the class for `info`."""
         if not self._can_step:
             raise ResetNeededError("call reset() first: no episode has begun, or it has ended")
-        try:
-            index = operator.index(action)
-        except TypeError:
-            index = -1
-        if not 0 <= index < len(self.action_names):
-            raise ActionError(action, len(self.action_names))
-        return self._decide(index)
+        return self._decide(read_action(action, len(self.action_names)))
 
     def idle(self, reason: str) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Run one idle primitive, the cost of a masked option, for a choice that names no action.
@@ -431,6 +425,13 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def _agrees(self, option: Option, step: DomainStep) -> bool:
         chosen, domain = option.policy(step.state), self._domain
         return not isinstance(chosen, Option) and np.array_equal(check_choice(option, chosen, domain), step.action)
+
+
+def _make_domain(domain: Callable[[gymnasium.Env], OptionDomain] | None, env: gymnasium.Env) -> OptionDomain:
+    made = make_option_domain(env) if domain is None else domain(env) if callable(domain) else domain
+    if not isinstance(made, OptionDomain):
+        raise ConfigError("OptionsEnv.domain", domain, "a function of the environment that returns its OptionDomain")
+    return made
 
 
 def make_options_env(config: str | RoomConfig | dict[str, Any] = "paper-two-button", *, option_features: bool = False,

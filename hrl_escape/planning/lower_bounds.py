@@ -234,26 +234,32 @@ def _bound_jointly(instance: RoomInstance, state: RoomState, bounds: LegBounds, 
         if least >= best:
             break
         for then in after.get(node, ()):
-            found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0)
+            found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0, initial=math.inf)
             if then[1] == EXIT:
-                best = min(best, float(found.min()))
+                best = min(best, float(found.min(initial=math.inf)))
                 continue
             old = costs.get(then)
             better = found if old is None else np.minimum(old, found)
             if old is None or (better < old).any():
                 costs[then] = better
-                heapq.heappush(queue, (float(found.min()), then))
+                heapq.heappush(queue, (float(found.min(initial=math.inf)), then))
     return best
 
 
 def _cut_place(instance: RoomInstance, bounds: LegBounds, op: Operator | None) -> NDArray[np.float64]:
-    """Boxes x_low, y_low, x_high, y_high (cells, 4) that hold every place of the body's axis at the end of a leg."""
+    """Boxes x_low, y_low, x_high, y_high (cells, 4) that hold every place of the body's axis at the end of a leg.
+
+    There are none if the target cannot be touched.
+    """
     if op is not None and bounds.is_anywhere(op):
         return np.array([[-np.inf, -np.inf, np.inf, np.inf]])
     shape, reach = bounds.get_place(op)
+    if reach < 0.0:
+        return np.zeros((0, 4))
     half = _measure(shape) + reach
     low, high = np.array([shape.x, shape.y]) - half, np.array([shape.x, shape.y]) + half
-    counts = np.maximum(1, np.ceil((high - low) / ((high - low).max() / CELLS) - 1e-9)).astype(int)
+    longest = max((high - low).max(), 1e-9)  # an exit may be a point
+    counts = np.maximum(1, np.ceil((high - low) / (longest / CELLS) - 1e-9)).astype(int)
     edges = [np.linspace(low[axis], high[axis], counts[axis] + 1) for axis in (0, 1)]
     x, y = (part.ravel() for part in np.meshgrid(*(np.arange(count) for count in counts), indexing="ij"))
     boxes = np.stack([edges[0][x], edges[1][y], edges[0][x + 1], edges[1][y + 1]], axis=1)

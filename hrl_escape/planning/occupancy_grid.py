@@ -18,7 +18,7 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from hrl_escape.errors import FileReadError
+from hrl_escape.errors import FileReadError, show_value
 from hrl_escape.files import read_bytes, read_text
 
 MODES = ("trinary", "scale", "raw")
@@ -149,7 +149,7 @@ def _read_number(path: Path, about: dict[str, Any], key: str) -> float:
 
 
 def _refuse(path: Path, key: str, value: Any, valid: str) -> FileReadError:
-    return FileReadError(f"{path}: `{key}` must be {valid}, got {str(value)[:80]}")
+    return FileReadError(f"{path}: `{key}` must be {valid}, got {show_value(value)}")
 
 
 def _read_image(path: Path) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,7 +15,7 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, check_room
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.base import Contacts, Puzzle
+from hrl_escape.env.puzzles.base import NoPuzzle
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.planning import ros
 from hrl_escape.planning.goals import PoseGoal
@@ -29,22 +29,6 @@ MOST_MESH_CELLS = 5_000_000
 _POSE = "x and y in m, and a heading in rad"
 RIM = 0.1
 """Thickness of the walls that stand round a world, m."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Nothing(Puzzle):
-    """The puzzle of a world: there is none, and it is solved."""
-
-    kind: ClassVar[str] = "nothing"
-    fixed_names = ()
-
-    def update(self, state: int, contacts: Contacts) -> int:
-        """Nothing changes."""
-        return state
-
-    def is_solved(self, state: int) -> bool:
-        """Always true."""
-        return True
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -90,7 +74,7 @@ class World:
         instance = RoomInstance(name="world", half_width=half_x, half_depth=half_y, wall_height=wall_height,
                                 solids=(*walls, *placed), robot=robot,
                                 exit=Rectangle(half_x, half_x, half_y, half_y),  # a corner, where no axis comes
-                                puzzle=Nothing())
+                                puzzle=NoPuzzle())
         world = cls(instance, (x, y))
         at_x, at_y, heading = _read_numbers("start", start, 3, _POSE)
         state = world.make_state(at_x, at_y, heading)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.errors import ActionError, UnsupportedError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
+from hrl_escape.step_info import read_action
 
 _Slot = tuple["str | None", int]
 """An action by its object and its number among the actions on that object."""
@@ -109,7 +110,7 @@ class CommonSpacesEnv(gymnasium.Wrapper, RecordConstructorArgs):
             ActionError: this environment lacks the action.
         """
         if self._actions is not None:
-            known = self._actions[action] if 0 <= int(action) < len(self._actions) else -1
+            known = self._actions[read_action(action, len(self._actions))]
             if known < 0:
                 raise ActionError(action, len(self._actions))
             action = int(known)

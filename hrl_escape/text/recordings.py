@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -19,6 +19,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EscapeError, FileReadError, OldFormatError, UnsupportedError, VerificationError
 from hrl_escape.files import parse_json, read_text, write_text
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.settings import Range, read_record
 from hrl_escape.text.text_env import RoomSession, Score, TextEnv, ToolCall, Turn
 
 _SCHEMA = 2
@@ -54,14 +55,65 @@ class Game:
 
     @classmethod
     def from_lines(cls, lines: Sequence[Any]) -> Game:
-        """Parse the lines of one game, each a JSON value. Errors in them are raised unchanged."""
-        begun, *said, last = lines
-        if begun["kind"] != "game" or begun["schema"] != _SCHEMA:
+        """Parse the lines of one game, each a JSON value.
+
+        Raises:
+            ValueError: there are fewer than two lines, or the first is not that of a game of this schema.
+            EscapeError: a value in them is not valid; the message names its place.
+        """
+        first, *said, last = lines if len(lines) > 1 else ({}, {})
+        if not isinstance(first, dict) or first.get("kind") != "game" or first.get("schema") != _SCHEMA:
             raise ValueError(f"this is not a game of schema {_SCHEMA}")
-        turns = (Turn(None, str(begun["text"])),
-                 *(Turn(ToolCall(*line["call"]), str(line["text"]), bool(line["is_error"])) for line in said))
-        return cls(RoomInstance.from_dict(begun["room"]), int(begun["seed"]), begun["reveal"], dict(begun["options"]),
-                   turns, Score(**last["score"]))
+        begun = read_record(_Beginning, first, "game")
+        read_record(GameOptions, begun.options, "game.options")
+        answers = [read_record(_Answer, line, f"turn {number}") for number, line in enumerate(said, 1)]
+        turns = (Turn(None, begun.text), *(Turn(ToolCall(*answer.call), answer.text, answer.is_error)
+                                           for answer in answers))
+        return cls(RoomInstance.from_dict(begun.room), begun.seed, begun.reveal, begun.options, turns,
+                   read_record(_End, last, "end").score)
+
+
+@dataclasses.dataclass(frozen=True)
+class GameOptions:
+    """Arguments of `OptionsEnv` that a recorded game may change."""
+
+    include_primitives: bool = True
+    discount: Annotated[float, Range(0, 1)] = 0.99
+    discounted_reward: bool = False
+    option_set: str = "press"
+    interruptible: bool = False
+    max_duration: Annotated[int, Range(1)] | None = None
+    trace: bool = False
+    planner: str = "auto"
+
+
+@dataclasses.dataclass(frozen=True)
+class _Beginning:
+    """First line of a game."""
+
+    kind: str
+    schema: int
+    seed: Annotated[int, Range(0)]
+    reveal: Level
+    options: dict[str, Any]
+    text: str
+    room: dict[str, Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Answer:
+    """Line of a turn."""
+
+    call: tuple[str, Any]
+    text: str
+    is_error: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class _End:
+    """Last line of a game."""
+
+    score: Score
 
 
 def record_game(session: RoomSession | TextEnv) -> Game:
@@ -102,7 +154,7 @@ def load_games(path: str | Path) -> tuple[Game, ...]:
         if isinstance(lines[-1], dict) and "score" in lines[-1]:
             try:
                 games.append(Game.from_lines(lines))
-            except (EscapeError, AttributeError, KeyError, TypeError, ValueError) as error:
+            except (EscapeError, ValueError) as error:
                 raise FileReadError(f"{path}, game that ends in line {number}: {error}") from error
             lines = []
     if lines or not games:

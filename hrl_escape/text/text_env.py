@@ -31,6 +31,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
 from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
+from hrl_escape.step_info import read_action
 from hrl_escape.text.words import clean, list_option_names, place, tell_changes, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
@@ -161,7 +162,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def step(self, action: int) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Execute one step of the call in progress, for any action; without a call, the action is a call by itself."""
         if self.action is None:
-            self.begin(self.name_action(int(action)))
+            self.begin(self.name_action(action))
         taken = self.action
         assert taken is not None
         step = self.env.idle("the call was wrong") if taken < 0 else self.env.step(taken)
@@ -192,7 +193,15 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return None
 
     def name_action(self, action: int) -> ToolCall:
-        """Return the call that takes an action of the environment."""
+        """Return the call that takes an action of the environment.
+
+        Raises:
+            ActionError: there is no such action.
+            ResetNeededError: no game has begun.
+        """
+        if not self._room_id:
+            raise ResetNeededError("call reset() first: no game has begun")
+        action = read_action(action, len(self.env.action_names))
         if action < self.env.primitive_count:
             return ToolCall("move", {"primitive": clean(self.env.action_names[action]), "times": 1})
         name = next((name for name, own in self._actions.items() if own == action), "")

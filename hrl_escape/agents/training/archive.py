@@ -19,7 +19,6 @@ import os
 import re
 import shutil
 import stat
-import struct
 import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -45,6 +44,7 @@ from hrl_escape.files import (
     describe_write_failure,
     make_folder,
     open_plain,
+    open_zip,
     parse_json,
     read_json,
     write_json,
@@ -127,8 +127,7 @@ def read_parts(path: str | os.PathLike[str], kind: ArchiveKind, wanted: Iterable
     """
     path = Path(path)
     with open_plain(path, f"archive of {kind.whose}", LARGEST_ARCHIVE) as file, refusing_archive(path, kind):
-        _check_directory(file)
-        with zipfile.ZipFile(file) as archive:
+        with open_zip(file, LARGEST_DIRECTORY) as archive:
             members = {member.filename: member for member in archive.infolist()}
             _check_members(archive.infolist(), kind, os.fstat(file.fileno()).st_size)
             with archive.open(members[MANIFEST]) as source:
@@ -195,17 +194,6 @@ def _open(source: Path | bytes, what: str) -> AbstractContextManager[IO[bytes]]:
     if source.is_symlink():
         raise FileReadError(f"{source}: this is a link, and a {what} is a plain file")
     return open_plain(source, what, LARGEST_ARCHIVE)
-
-
-def _check_directory(file: IO[bytes]) -> None:
-    """Refuse long lists of members, comments and 64-bit zips before the list is read."""
-    file.seek(-42, os.SEEK_END)
-    end = file.read()
-    if end[20:24] != b"PK\5\6":
-        raise ValueError("it does not end as a zip does")
-    size, comment = struct.unpack("<12xL4xH", end[20:])
-    if size > LARGEST_DIRECTORY or comment or end.startswith(b"PK\6\7"):
-        raise ValueError(f"its list of members has {size:,} bytes")
 
 
 def _check_members(members: list[zipfile.ZipInfo], kind: ArchiveKind, size: int) -> None:

@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError, describe_damage
-from hrl_escape.files import atomic_writer, open_plain
+from hrl_escape.files import atomic_writer, open_plain, open_zip, parse_json
 
 TREE = "tree"
 ARRAY = "__array__"
@@ -66,9 +66,10 @@ def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")  # bytes of this machine
     with open_plain(path, "checkpoint", largest=memory) as file:
         try:
-            with zipfile.ZipFile(file) as archive:
+            with open_zip(file) as archive:
                 members = {member.filename: member for member in archive.infolist()}
-                tree = json.loads(_read_array(archive, members.pop(f"{TREE}.npy")).tobytes())
+                tree = parse_json(_read_array(archive, members.pop(f"{TREE}.npy")).tobytes(), TREE, "state",
+                                  takes_nan=True)
                 state = _unpack(tree, lambda name: _read_array(archive, members.pop(f"{name}.npy")))
             if not isinstance(state, dict):
                 raise ValueError("it holds no tree")

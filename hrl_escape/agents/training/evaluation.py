@@ -10,7 +10,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -26,10 +26,12 @@ from hrl_escape.agents.agent import (
     read_success,
     set_option_discount,
 )
+from hrl_escape.settings import Range, read_argument
 from hrl_escape.step_info import read_share
 
 LONGEST_EPISODE = 100_000
 """Most primitives of an episode without a time limit."""
+_COUNT = Annotated[int, Range(1)]
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,13 @@ def evaluate(agent: Agent, env: gymnasium.Env, episodes: int, seed: int = 0, pri
         max_primitives: longest episode in an environment without a time limit.
         trials: parts of an episode that count as episodes of their own, such as the rooms of a sequence, numbered by
             `info["trial"]`. A trial that an episode does not reach is a failure of no length.
+
+    Raises:
+        ConfigError: a number is not whole, or is out of its range.
     """
+    episodes, trials, max_primitives = (read_argument(_COUNT, name, value) for name, value in (
+        ("episodes", episodes), ("trials", trials), ("max_primitives", max_primitives)))
+    seed = read_argument(int, "seed", seed)
     started = time.perf_counter()
     sums = [each for episode in range(episodes)
             for each in _sum_trials(agent, env, seed, episode, trials, max_primitives)]

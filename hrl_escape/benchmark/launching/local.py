@@ -14,7 +14,7 @@ import signal
 import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkServerContext
@@ -25,8 +25,11 @@ from typing import Protocol
 from hrl_escape.benchmark.grid import GridRun
 from hrl_escape.benchmark.run_results import RunResult, get_run_folder, get_training_folder, load_run_result
 from hrl_escape.errors import ConfigError, FileReadError, GridError
+from hrl_escape.files import open_plain
 
 TICK_SECONDS = 0.5
+TAIL = 16_384
+"""Bytes at the end of a log that are read."""
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -180,20 +183,20 @@ def _describe_death(exit_code: int | None) -> str:
 
 
 def _read_tail(path: Path) -> str:
-    try:
-        return "\n".join(path.read_text(errors="replace").splitlines()[-30:])
-    except OSError:
-        return ""
+    with suppress(FileReadError), open_plain(path, "error log") as log:
+        log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL))
+        return "\n".join(log.read(TAIL).decode(errors="replace").splitlines()[-30:])
+    return ""
 
 
 def read_progress(out: Path, run: GridRun) -> int:
     """Return the primitives of a running run, from the last complete line of its log."""
     try:
-        with open(get_training_folder(out, run) / "log.jsonl", "rb") as log:
-            log.seek(max(0, log.seek(0, os.SEEK_END) - 16_384))
-            lines = log.read().split(b"\n")
+        with open_plain(get_training_folder(out, run) / "log.jsonl", "log of a run", largest=2**40) as log:
+            log.seek(max(0, log.seek(0, os.SEEK_END) - TAIL))
+            lines = log.read(TAIL).split(b"\n")
         return int(json.loads(lines[-2])["primitives"])
-    except (OSError, IndexError, ValueError, KeyError, TypeError):
+    except (OSError, IndexError, ValueError, KeyError, TypeError, RecursionError):
         return 0
 
 

@@ -39,7 +39,7 @@ from hrl_escape.env.pictures.maps import make_map
 from hrl_escape.env.pictures.moving_map import PLAYER, PLAYER_COLOURS, describe_room
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 from hrl_escape.files import write_text
-from hrl_escape.names import tell_seconds
+from hrl_escape.names import make_markdown_text, tell_seconds
 from hrl_escape.sets.places import RunPlace
 from hrl_escape.templates import embed_json, render_template
 
@@ -98,18 +98,21 @@ def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) ->
 
 
 def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, path: Path) -> None:
-    """Write the verdict and the table of results as Markdown."""
+    """Write the verdict and the table of results as Markdown; names and labels from files are shown as they are."""
     grid = summary.grid
-    lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
-    lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
+    said = [(sentence.kind, make_markdown_text(sentence.text)) for sentence in verdict]
+    lines = [f"# {make_markdown_text(grid.name)}", "", f"**{said[0][1]}**", ""]
+    lines += [f"- {text}" for kind, text in said[1:] if kind == "finding"]
     lines += ["", *(_make_room_table(summary) if grid.env is None else _make_env_table(summary))]
-    cautions = [f"- {sentence.text}" for sentence in verdict if sentence.kind == "caution"]
+    cautions = [f"- {text}" for kind, text in said if kind == "caution"]
     lines += ["", *(["Read with care:", "", *cautions, ""] if cautions else [])]
     if grid.env is None:
         lines.append("Rooms: " + "; ".join(
-            f"{room.name}, {describe_place(room.place)}, best known escape {room.fewest:g} primitives, return "
-            f"{room.best:g}" for room in summary.rooms) + ".")
-    lines += ["", "```console", command, "```", ""]
+            f"{make_markdown_text(room.name)}, {describe_place(room.place)}, best known escape {room.fewest:g} "
+            f"primitives, return {room.best:g}" for room in summary.rooms) + ".")
+    shown = "".join(letter if letter.isprintable() else " " for letter in command)
+    fence = max(re.findall("`{3,}", shown), key=len, default="``") + "`"  # longer than any in the command
+    lines += ["", f"{fence}console", shown, fence, ""]
     write_text(path, "\n".join(lines))
 
 
@@ -128,10 +131,11 @@ def _make_room_table(summary: Summary) -> list[str]:
 
 def _make_env_table(summary: Summary) -> list[str]:
     grid, columns = summary.grid, list_env_columns(summary)
-    return [f"After {grid.primitives:,} primitives in {summary.rooms[0].name}, {grid.runs} runs. Returns are means "
-            "over the last fifth of training.", "",
+    return [f"After {grid.primitives:,} primitives in {make_markdown_text(summary.rooms[0].name)}, {grid.runs} runs. "
+            "Returns are means over the last fifth of training.", "",
             f"| agent | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|",
-            *(f"| {agent.label} | {' | '.join(list_env_values(summary, agent))} |" for agent in summary.agents)]
+            *(f"| {make_markdown_text(agent.label)} | {' | '.join(list_env_values(summary, agent))} |"
+              for agent in summary.agents)]
 
 
 def list_env_columns(summary: Summary) -> list[str]:
@@ -148,8 +152,8 @@ def list_env_values(summary: Summary, agent: AgentSummary) -> list[str]:
 
 def _make_line(agent: AgentSummary, are_sets: bool) -> str:
     seen = "- | " if agent.seen is None else f"{agent.seen:.3f} | "
-    return (f"| {agent.label} | {agent.efficiency:.3f} | {seen * are_sets}{agent.progress.value:.2f} "
-            f"| {agent.success:.0%} | {agent.length.value:.0f} | {format_first_escape(agent)} "
+    return (f"| {make_markdown_text(agent.label)} | {agent.efficiency:.3f} "
+            f"| {seen * are_sets}{agent.progress.value:.2f} | {agent.success:.0%} | {agent.length.value:.0f} | {format_first_escape(agent)} "
             f"| {agent.score.value:.3f} | {agent.stuck:.0%} | {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
 
 

@@ -24,7 +24,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.registry import Registry
 from hrl_escape.settings import Range
 
-__all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", "Pads", "Panels", "Place", "Prop",
+__all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", "NoPuzzle", "Pads", "Panels", "Place", "Prop",
            "Puzzle", "PuzzleConfig", "PuzzleKind", "Success", "get_puzzle_kind", "list_puzzles", "register_puzzle"]
 
 MOST_DERIVED = 20_000
@@ -139,6 +139,13 @@ class Puzzle(_OfKind):
     are_pads: ClassVar[bool] = False
     about: ClassVar[str] = "Its rule is hidden: try things, and see what changes."
     _family = "puzzle_type"
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Build the rules of the kind that `data` names; errors as in settings of a kind."""
+        if cls is Puzzle and isinstance(data, Mapping) and data.get("kind") == NoPuzzle.kind:
+            return NoPuzzle.from_dict(data)  # type: ignore[return-value]  # a subclass
+        return super().from_dict(data)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -320,6 +327,22 @@ class DerivedModel(Modelled):
             for name, changed in zip(self.target_names, changes, strict=True))
         propositions = (*(f"state({number})" for number in range(len(numbers))), SOLVED)
         return SymbolicModel(propositions, operators, frozenset({SOLVED})), facts
+
+
+@dataclasses.dataclass(frozen=True)
+class NoPuzzle(Puzzle):
+    """The puzzle of a `World`: there is none, and it is solved. It is not registered, as no room is sampled with it."""
+
+    kind: ClassVar[str] = "nothing"
+    fixed_names = ()
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Nothing changes."""
+        return state
+
+    def is_solved(self, state: int) -> bool:
+        """Always true."""
+        return True
 
 
 class PuzzleKind(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import warnings
 from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
@@ -26,11 +27,10 @@ def read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[fl
     Returns:
         The text, with `disable_default_collisions` written out as pairs; and joint angles, rad, of the group states
         that name a planned joint. Joints that a state leaves out are at home. A name that several groups use becomes
-        `group/name`.
+        `group/name`. A state with an angle that is no number or beyond the joint's limits is left out with a warning.
 
     Raises:
-        ConfigError: there is no such file, it is no SRDF or one of another robot, or a state has an angle that is no
-            number or beyond the joint's limits.
+        ConfigError: there is no such file, or it is no SRDF or one of another robot.
     """
     is_text = isinstance(source, str) and source.lstrip("\ufeff \n\r\t").startswith("<")
     where = "the text given" if is_text else str(source)
@@ -69,15 +69,21 @@ def _read_postures(root: ElementTree.Element, robot: Robot) -> dict[str, tuple[f
     for state in root.findall("group_state"):
         angles = dict(zip(robot.joint_names, robot.home, strict=True))
         planned = [joint for joint in state.findall("joint") if joint.get("name") in angles]
-        for joint in planned:
-            angles[joint.get("name", "")] = _read_angle(state, joint, robot)
-        if planned:
+        read = {joint.get("name", ""): _read_angle(joint, robot) for joint in planned}
+        angles |= read
+        wrong = [name for name, angle in read.items() if math.isnan(angle)]
+        if wrong:
+            low, high = robot.limits[robot.joint_names.index(wrong[0])]
+            warnings.warn(f"SRDF: the group state {state.get('name', '')!r} is left out: the angle of joint "
+                          f"{wrong[0]!r} must be from {low:g} to {high:g} rad", RuntimeWarning, stacklevel=4)
+        elif planned:
             found.append((state.get("group", ""), state.get("name", ""), tuple(angles.values())))
     uses = Counter(name for _, name, _ in found)
     return {name if uses[name] == 1 else f"{group}/{name}": angles for group, name, angles in found}
 
 
-def _read_angle(state: ElementTree.Element, joint: ElementTree.Element, robot: Robot) -> float:
+def _read_angle(joint: ElementTree.Element, robot: Robot) -> float:
+    """Angle of a joint in a group state, or NaN if it is no number or beyond the limits."""
     name, text = joint.get("name", ""), joint.get("value", "")
     number = robot.joint_names.index(name)
     low, high = robot.limits[number]
@@ -87,7 +93,4 @@ def _read_angle(state: ElementTree.Element, joint: ElementTree.Element, robot: R
         angle = math.nan
     if robot.continuous[number] and math.isfinite(angle):
         return angle
-    if not low - _SLACK <= angle <= high + _SLACK:
-        raise ConfigError("srdf", text, f"an angle of joint {name!r} from {low:g} to {high:g} rad in the group state "
-                                        f"{state.get('name', '')!r}")
-    return min(max(angle, low), high)
+    return min(max(angle, low), high) if low - _SLACK <= angle <= high + _SLACK else math.nan
