@@ -207,7 +207,7 @@ def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest
 def read_bytes(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> bytes:
     """Read a whole file; see `open_plain` for arguments and errors."""
     with open_plain(path, what, largest) as file:
-        return file.read(largest)
+        return file.read(os.fstat(file.fileno()).st_size)
 
 
 def read_text(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> str:
