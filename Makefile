@@ -14,7 +14,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
-.PHONY: help demo watch test test-nightly docs contact-sheet lint dist clean
+.PHONY: help demo watch test test-nightly mutants docs contact-sheet lint dist clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
@@ -35,6 +35,9 @@ test: $(STAMP) ## the fast tests, five to six minutes on two idle cores
 
 test-nightly: $(STAMP) ## all others, planted bugs among them, about an hour; a tenth of them: make test-nightly SHARD=1/10
 	python -m pytest tests -n $(JOBS) --dist worksteal -m "$(MARKS)" --shard $(SHARD)
+
+mutants: $(STAMP) ## 20 small bugs in each of five packages, drawn by the date; some hours (extra `mutants`)
+	python -m benchmarks.mutants --packages agents planning benchmark data text --count 20
 
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -j $(JOBS) -W --keep-going -q docs build/docs

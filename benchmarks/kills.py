@@ -2,8 +2,8 @@
 
 Run: `python benchmarks/kills.py --only train --kills 100` and so on; exits with 1 if a byte differs or a process
 outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` the study of task
-hierarchies, `ray` the comparison on a Ray of this machine (extra `ray`). A finished run is compared and then repeated
-in another folder, until the kills are done.
+hierarchies, `ladder` a rung of the ladder with two agents, `data` four recordings, `ray` the comparison on a Ray of
+this machine (extra `ray`). A finished run is compared and then repeated in another folder, until the kills are done.
 """
 
 from __future__ import annotations
@@ -109,10 +109,34 @@ def read_study(folder: Path) -> Any:
     return [file.read_bytes() for file in sorted(folder.glob("docs/raw/*.jsonl"))]
 
 
+def climb(folder: Path) -> None:
+    """A rung with two agents."""
+    words = ["--rung", "pair", "--rooms", "1", "--runs", "2", "--primitives", "1500", "--out", str(folder)]
+    sys.exit(main_of_cli(["ladder", "run", "smdp-q-learning", "smdp-dqn", *words]))
+
+
+def read_ladder(folder: Path) -> Any:
+    """Its tables, to the byte."""
+    return [(folder / "per-instance" / "pair" / name).read_bytes() for name in ("results.csv", "curves.csv")]
+
+
+def make_data(folder: Path) -> None:
+    """Four recordings, one after another."""
+    names = [f"pair-{kind}-v1" for kind in ("play", "noisy", "expert", "explore")]
+    sys.exit(main_of_cli(["data", "make", *names, "--primitives", "20000", "--out", str(folder)]))
+
+
+def read_data(folder: Path) -> Any:
+    """The recordings, to the byte."""
+    return [file.read_bytes() for file in sorted(folder.glob("*.npz"))]
+
+
 LOGS = "runs/*/training/log.jsonl"
 WORK = {"compare": Work(compare, read_compare, LOGS, ("forkserver",)),
         "train": Work(learn, read_train, "checkpoint.npz"),
         "study": Work(study, read_study, f"runs/*/{LOGS}", ("forkserver",)),
+        "ladder": Work(climb, read_ladder, f"per-instance/*/{LOGS}", ("forkserver",)),
+        "data": Work(make_data, read_data, "*.npz"),
         "ray": Work(compare_on_ray, read_compare, LOGS, ("_run_guarded", "raylet/raylet"))}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import random
@@ -25,8 +26,10 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import PlanningFailed
 from hrl_escape.files import read_json
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.world import World
 from hrl_escape.sets.grammar import find_config, find_set
@@ -64,7 +67,9 @@ def use_room(room: RoomInstance) -> None:
                 break
         env.close()
     OptionsEnv(EscapeRoomEnv(instance=room)).reset(seed=0)
-    RoomPlanner(room, budget=2_000).solve()
+    with contextlib.suppress(PlanningFailed):
+        RoomPlanner(room, budget=2_000).solve(list_start_states(room)[0])
+    find_best_known(room, list_start_states(room)[0])
 
 
 class FileKind(NamedTuple):
@@ -83,8 +88,24 @@ class FileKind(NamedTuple):
     change: Callable[[Path, random.Random], object] | None = None
 
 
+def nudge(value: Any, chance: random.Random) -> Any:
+    """JSON value in which one number is another that is as likely."""
+    if isinstance(value, dict) and value:
+        name = chance.choice(list(value))
+        return {**value, name: nudge(value[name], chance)}
+    if isinstance(value, list) and value:
+        at = chance.randrange(len(value))
+        return [*value[:at], nudge(value[at], chance), *value[at + 1:]]
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, (int, float)):
+        return chance.choice([0, -value, value + 1, value - 1, 2 * value, value / 2, value + 0.01, 1000 * value])
+    return value
+
+
 def change_json(path: Path, chance: random.Random) -> None:
-    content = change_value(json.loads(path.read_text()), chance)
+    change = nudge if chance.random() < 0.5 else change_value
+    content = change(json.loads(path.read_text()), chance)
     if isinstance(content, dict):
         content.pop("id", None)
     path.write_text(json.dumps(content))
@@ -200,8 +221,8 @@ KINDS: dict[str, FileKind] = {
                         lambda path: unpack_run(path, path.parent / "out")),
     "episodes": FileKind("episodes.json", write("[]"), read_summaries, change_json),
     "map": FileKind("m.yaml", write_map, lambda path: World.read(path, RobotConfig(), (4.0, 4.0, 0.0)), change_json),
-    "picture": FileKind("m.png", lambda path, chance: write_map(path.with_name("m.yaml"), chance), lambda path: World.read(
-        path.with_name("m.yaml"), RobotConfig(), (4.0, 4.0, 0.0))),
+    "picture": FileKind("m.png", lambda path, chance: write_map(path.with_name("m.yaml"), chance),
+                        lambda path: World.read(path.with_name("m.yaml"), RobotConfig(), (4.0, 4.0, 0.0))),
     "URDF": FileKind("arm/r.urdf", lambda path, chance: make_urdf(path.parent), in_folder(make_arm)),
     "SRDF": FileKind("arm/r.srdf", lambda path, chance: make_urdf(path.parent), in_folder(make_arm)),
     "mesh": FileKind("arm/m.obj", lambda path, chance: make_urdf(path.parent), in_folder(make_arm)),

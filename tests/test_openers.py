@@ -247,7 +247,8 @@ def do(*calls: Callable[[], object]) -> None:
 
 
 def make_urdf(folder: Path) -> None:
-    write(r__urdf=URDF, m__obj=MESH, m__mtl="", package__xml="<package><name>tool</name></package>", r__srdf=SRDF)(folder)
+    package = "<package><name>tool</name></package>"
+    write(r__urdf=URDF, m__obj=MESH, m__mtl="", package__xml=package, r__srdf=SRDF)(folder)
 
 
 def save_room(name: str) -> Callable[[Path], None]:
@@ -291,7 +292,8 @@ DOORS: dict[str, Door] = {
         lambda: RecordedModel(f / "x.jsonl"), lambda: convert_data(f / "x.jsonl", f / "out.jsonl"),
         lambda: AgentSpec.parse(f"text-agent(model={json.dumps(str(f / 'x.jsonl'))})").resolve_settings())),
     "comparison": Door(("run_result.json", "episodes.json"), write(run_result__json="{}", episodes__json="[]"),
-                       lambda f: do(lambda: link_run(f), lambda: load_run_result(f, RUN), lambda: read_episodes(f, RUN))),
+                       lambda f: do(lambda: link_run(f), lambda: load_run_result(f, RUN),
+                                    lambda: read_episodes(f, RUN))),
     "progress": Door(("training/log.jsonl",), make_log, lambda f: do(
         lambda: link_run(f), lambda: read_progress(f, RUN), lambda: _read_tail(f / "training" / "log.jsonl"))),
     "best known": Door((), lambda f: find_ends(f), find_ends),
@@ -428,7 +430,8 @@ def test_every_function_that_reads_files_is_behind_a_door(tmp_path: Path):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("name", "file"), [("archive", "x.zip"), ("recording", "x.npz"), ("run", "run/checkpoint.npz")])
+@pytest.mark.parametrize(("name", "file"), [
+    ("archive", "x.zip"), ("recording", "x.npz"), ("run", "run/checkpoint.npz")])
 def test_a_zip_of_70_000_members_is_refused_before_they_are_listed(tmp_path: Path, name: str, file: str):
     DOORS[name].make(tmp_path)
     (tmp_path / file).write_bytes(make_large_zip())

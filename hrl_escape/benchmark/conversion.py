@@ -62,8 +62,8 @@ def convert_file(path: Path, out: Path) -> str:
         UnsupportedError: the file is of another kind or version.
         FileWriteError: `out` cannot be written.
     """
-    convert = (_convert_folder if path.is_dir() else _convert_grid_file if path.suffix.lower() in (".toml", ".json") else
-               _convert_archive if path.suffix.lower() == ".zip" else None)
+    converters = {".toml": _convert_grid_file, ".json": _convert_grid_file, ".zip": _convert_archive}
+    convert = _convert_folder if path.is_dir() else converters.get(path.suffix.lower())
     if convert is not None:
         try:
             return convert(path, out)

@@ -147,9 +147,9 @@ class DataSet:
         Raises:
             ConfigError: no such level, a discount outside 0 to 1, or a size below 1.
         """
-        gamma = self.gamma if gamma is None else read_argument(_GAMMA, "gamma", gamma)
+        discount: float = self.gamma if gamma is None else read_argument(_GAMMA, "gamma", gamma)
         every = (self.level if level is None else read_argument(DataLevel, "level", level)) == "primitives"
-        return self._yield_blocks(every, gamma, read_argument(Annotated[int, Range(1)], "size", size))
+        return self._yield_blocks(every, discount, read_argument(Annotated[int, Range(1)], "size", size))
 
     def _yield_blocks(self, every: bool, gamma: float, size: int) -> Iterator[Any]:
         make = self._make_primitives if every else self._make_decisions
@@ -179,8 +179,8 @@ class DataSet:
         seen.append(observe(state))
         step, at, end = rules.step, 0, 0
         if max(actions) >= len(rules.actions):
-            raise FileReadError(f"recording {self.name}: episode {episode.number} has the primitive {max(actions)}, and "
-                                f"its room {len(rules.actions)} primitives, counted from 0")
+            raise FileReadError(f"recording {self.name}: episode {episode.number} has the primitive {max(actions)}, "
+                                f"and its room {len(rules.actions)} primitives, counted from 0")
         for duration in durations:
             for action in actions[at : at + duration]:
                 if end:

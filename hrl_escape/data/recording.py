@@ -246,7 +246,8 @@ def _check_sizes(recording: Recording) -> None:
     if not recording.primitive_count <= actions <= MOST_ACTIONS:
         raise ValueError(f"it has {actions} actions, of which {recording.primitive_count} are primitives; there are at "
                          f"most {MOST_ACTIONS} actions")
-    limits = {"room": LARGEST_RANGE, "action": 2**7, "option": actions, "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(recording.about["policies"])}
+    limits = {"room": LARGEST_RANGE, "action": 2**7, "option": actions,
+              "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(recording.about["policies"])}
     for name, limit in limits.items():
         array = getattr(recording, name)
         if len(array) and not 0 <= int(array.min()) <= int(array.max()) < limit:

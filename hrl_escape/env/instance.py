@@ -500,8 +500,8 @@ def check_room(instance: RoomInstance) -> None:
 
 def _check_centres(instance: RoomInstance) -> None:
     """Check that the centres of targets, props, inner doors and exit are on the floor."""
-    for name, things in (("targets", instance.targets), ("props", instance.props), ("inner_doors", instance.inner_doors)):
-        for number, thing in enumerate(things):
+    for name in ("targets", "props", "inner_doors"):
+        for number, thing in enumerate(getattr(instance, name)):
             if not is_on_floor(instance, thing.x, thing.y, _OVERLAP):
                 raise ConfigError(f"instance.{name}[{number}]", (thing.x, thing.y), _describe_floor(instance))
     if not is_on_floor(instance, *instance.exit.centre, _OVERLAP):

@@ -22,7 +22,6 @@ from hrl_escape.env.urdf import LARGEST_VISUAL, MESH_ENDINGS
 from hrl_escape.errors import FileReadError, FileWriteError, MissingPackageError
 from hrl_escape.files import check_files, read_bytes, temporary_folder
 
-
 _GEOMETRY = re.compile(rb"^[ \t]*(?:v|vt|vn|f)[ \t](?:\\\r?\n|[^\n])*", re.MULTILINE)
 """Lines of an OBJ file with vertices and faces. Others name more files, such as `mtllib`, which would be opened."""
 

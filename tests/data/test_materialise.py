@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -152,10 +153,21 @@ def test_an_episode_that_the_horizon_ends_is_a_trajectorys_last_and_does_not_ter
 
 
 @pytest.mark.parametrize(("arguments", "error"), [
-    ({"level": "options"}, ConfigError), ({"gamma": 1.5}, ConfigError), ({"observation": "smell"}, UnknownNameError)])
+    ({"level": "options"}, ConfigError), ({"gamma": 1.5}, ConfigError), ({"observation": "smell"}, UnknownNameError),
+    ({"rooms": "nonsense"}, UnknownNameError), ({"gamma": math.nan}, ConfigError)])
 def test_impossible_arguments_are_refused(arguments, error):
     with pytest.raises(error):
         load_data(save_small(), **arguments)
+
+
+@pytest.mark.parametrize("read", [
+    lambda data: data.read_decisions(gamma=5), lambda data: data.blocks(gamma=math.nan),
+    lambda data: data.blocks(size=0), lambda data: data.blocks("x"), lambda data: data.blocks(size=True)])
+def test_impossible_ways_to_read_are_refused_before_anything_is_replayed(read):
+    with pytest.raises(ConfigError):
+        read(load_data(save_small()))
+    names = {load_data(save_small(), rooms=rooms).test_rooms.name for rooms in ("own", "train", "test")}
+    assert len(names) == 3
 
 
 def test_unknown_and_unrecorded_data_sets_are_told_with_the_next_step(tmp_path, monkeypatch):

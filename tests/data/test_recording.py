@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hrl_escape.data.materialise import load_data
 from hrl_escape.data.recording import FIELDS, Recording, load_recording, save_recording
-from hrl_escape.errors import EscapeError, FileReadError
+from hrl_escape.errors import ConfigError, EscapeError, FileReadError
 from tests.data.small import make_recording, save_small
 
 
@@ -56,6 +57,10 @@ def change(**arrays) -> Recording:
     return dataclasses.replace(make_recording(), **arrays)
 
 
+def tell(**about) -> Recording:
+    return change(about={**make_recording().about, **about})
+
+
 def empty_one(counts: np.ndarray) -> np.ndarray:
     """The same sum, with nothing left in the second."""
     return np.array([counts[0] + counts[1], 0, *counts[2:]], counts.dtype)
@@ -65,6 +70,15 @@ def empty_one(counts: np.ndarray) -> np.ndarray:
     (lambda: change(about={**make_recording().about, "engine": "mujoco"}), "its engine is 'mujoco'.*replays 'bullet'"),
     (lambda: change(about={**make_recording().about, "dynamics": "EscapeRoom-v0"}), "EscapeRoom-v0.*EscapeRoom-v1"),
     (lambda: change(about={**make_recording().about, "format": 3}), "its format is 3"),
+    (lambda: tell(name=["x"]), r"about\.name = \['x'\] is not possible: text"),
+    (lambda: tell(primitive_count=-1), r"about\.primitive_count = -1 .* from 0 to 64"),
+    (lambda: tell(primitive_count=4), "3 actions, of which 4 are primitives"),
+    (lambda: tell(actions=["x"] * 65), "has 65 actions"),
+    (lambda: tell(actions="abc"), r"about\.actions = 'abc'"),
+    (lambda: tell(scores={"best_known": "high"}), r"about\.scores\.best_known = 'high'"),
+    (lambda: tell(surplus=1), "unknown field of about 'surplus'"),
+    (lambda: change(room=make_recording().room - np.int32(1)), "room has numbers outside 0 to 999999"),
+    (lambda: change(action=-1 - make_recording().action), "action has numbers outside 0 to 127"),
     (lambda: change(action=make_recording().action[:-1]), "durations stand for"),
     (lambda: change(action=np.append(make_recording().action, np.int8(0))), "durations stand for"),
     (lambda: change(option=make_recording().option[:-1]), "different lengths"),
@@ -90,6 +104,18 @@ def test_other_rooms_than_the_recordings_are_refused():
     about = {**make_recording().about, "rooms": "ladder-1/chain-3/train#0..2"}
     with pytest.raises(FileReadError, match="ladder-1/chain-3/train.*differs in this version"):
         _ = change(about=about).rooms
+
+
+def test_rooms_and_primitives_that_are_not_there_are_refused_where_they_are_read():
+    with pytest.raises(FileReadError, match=r"it has episodes in room 7, and .* has 2 rooms"):
+        _ = change(room=np.full_like(make_recording().room, 7)).rooms
+    with pytest.raises(FileReadError, match="episode 0 has the primitive 100, and its room 6 primitives"):
+        load_data(change(action=np.full_like(make_recording().action, 100))).read()
+
+
+def test_a_range_of_rooms_that_takes_all_memory_is_refused_by_its_length():
+    with pytest.raises(ConfigError, match="a range holds at most 1,000,000 rooms"):
+        _ = tell(rooms="paper-two-button#0..1000000000").rooms
 
 
 def rewrite(path, name, content):

@@ -35,7 +35,8 @@ EDITS = [
     (("starts", 0, "heading_steps"), 300), (("dynamics", "press_with"), "hand"), (("schema",), True),
     (("schema",), 10**4000), (("horizon",), KeyError), (("robot", "body_radius"), KeyError),
     (("solids", 0, "x"), KeyError), (("puzzle", "goal"), KeyError), (("puzzle", "kind"), ["buttons"]),
-    (("puzzle", "kind"), {}), (("name",), 5), (("robot",), None), (("puzzle",), "buttons"), (("targets", 0), 7),
+    (("puzzle", "kind"), {}), (("name",), 5), (("robot",), None), (("targets", 0, "y"), 1e6), (("exit", "x_max"), 1e5),
+    (("puzzle",), "buttons"), (("targets", 0), 7),
 ]
 
 
@@ -44,6 +45,11 @@ def test_an_edited_room_is_refused_in_one_short_sentence(path, value):
     with pytest.raises(InstanceFileError) as refusal:
         RoomInstance.from_dict(edit(path, value))
     assert len(str(refusal.value)) < 500
+
+
+def test_a_target_beyond_the_walls_is_refused_with_the_floor():
+    with pytest.raises(InstanceFileError, match=r"targets\[0\] = \(30\.0, .*a centre on the floor, \|x\| <= 10 m"):
+        RoomInstance.from_dict(edit(("targets", 0, "x"), 30.0))
 
 
 def test_a_file_keeps_its_id_and_one_without_is_refused(tmp_path):

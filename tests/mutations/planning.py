@@ -36,7 +36,7 @@ MUTATIONS = [
              "planning/test_action_tables.py::"
              "test_no_walk_is_shorter_than_the_bound_of_where_it_leads_nor_proven_impossible"),
     Mutation("places of two presses are bounded one by one", "planning/lower_bounds.py::_bound_jointly",
-             "found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0)",
+             "found = (costs[node][:, None] + compute_costs(node[1], then[1])).min(axis=0, initial=math.inf)",
              "found = costs[node].min() + 0 * cells[then[1]][:, 0] + compute_costs(node[1], then[1]).min()",
              "planning/test_escape_bound.py::test_no_plan_is_below_its_bound_and_joint_bounds_are_above_sums_of_legs"),
     Mutation("a search that was cut short calls its order optimal",

@@ -423,6 +423,12 @@ def test_endless_nesting_is_an_error():
         env.step(6)
 
 
+@pytest.mark.parametrize("arguments", [{"domain": "x"}, {"domain": lambda env: 3}, {"options": 5}])
+def test_what_is_no_domain_and_no_list_of_options_is_refused(arguments):
+    with pytest.raises((ConfigError, OptionError), match="OptionsEnv.domain|give a list of options"):
+        OptionsEnv(EscapeRoomEnv(config="paper-two-button"), **arguments)
+
+
 def test_max_duration_ends_an_option():
     env = OptionsEnv(make_env(), [make_walk(10)], max_duration=4)
     begin(env)

@@ -10,9 +10,11 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from hrl_escape.agents import train
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.pictures.maps import draw_room, save_map
 from hrl_escape.env.presets import get_preset
@@ -122,6 +124,15 @@ def test_a_room_scanned_as_a_mesh_is_planned_in(tmp_path):
     assert np.hypot(*(places[-1, :2] - (5.0, 4.0))) <= 0.2
     with pytest.raises(ConfigError, match="start = "):
         World.of_mesh(path, ROBOT, (4.5, 8.5, 0.0))
+
+
+def test_a_saved_world_is_loaded_and_trained_in(tmp_path):
+    world = World.of([Solid("box", 1.0, 1.0)], RobotConfig(), (-2.0, -2.0, 0.0), floor=(-4.0, 4.0, -4.0, 4.0))
+    world.instance.save(tmp_path / "world.json")
+    room = RoomInstance.load(tmp_path / "world.json")
+    assert room == world.instance
+    assert RoomPlanner(room).plan(world.make_state(-2.0, -2.0), PoseGoal(2.0, -2.0)).primitives
+    assert train("q-learning", EscapeRoomEnv(instance=room), primitives=20, eval_episodes=0).primitives == 20
 
 
 @pytest.mark.nightly

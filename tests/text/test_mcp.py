@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.cli import main
+from hrl_escape.signals import Ended
 from hrl_escape.text import verify_games
 from tests.text.rooms import get_room, make_session
 
@@ -70,6 +71,23 @@ def test_a_record_that_cannot_be_written_is_refused_before_the_game(monkeypatch,
     assert main(["mcp", "--record", str(tmp_path / "game.jsonl")]) == 0 and began
     (game,) = verify_games(tmp_path / "game.jsonl")
     assert len(game.turns) == 1
+
+
+@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
+def test_the_record_holds_nothing_during_the_game_and_belongs_to_one_server(monkeypatch, capsys, tmp_path: Path):
+    sizes, codes = [], []
+
+    def serve(server: object) -> None:
+        sizes.append((tmp_path / "game.jsonl").stat().st_size)
+        codes.append(main(["mcp", "--record", str(tmp_path / "game.jsonl")]))
+        raise Ended(15)
+
+    monkeypatch.setattr("hrl_escape.text.mcp_server.serve", serve)
+    monkeypatch.setattr("os._exit", codes.append)
+    main(["mcp", "--record", str(tmp_path / "game.jsonl")])
+    assert sizes == [0] and codes == [2, 143]
+    assert "another server records into this file" in capsys.readouterr().err
+    assert len(verify_games(tmp_path / "game.jsonl")) == 1
 
 
 @pytest.mark.skipif(HAS_MCP, reason="the extra mcp is installed")

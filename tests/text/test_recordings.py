@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -74,6 +76,22 @@ def test_a_damaged_file_is_one_error_that_names_it(content: str, tmp_path: Path)
     for read in (load_games, RecordedModel):
         with pytest.raises(FileReadError, match="bad.jsonl"):
             read(tmp_path / "bad.jsonl")
+
+
+@pytest.mark.parametrize(("line", "change", "words"), [
+    (0, {"options": {"domain": "x"}}, "unknown field of game.options 'domain'"),
+    (0, {"options": {"discount": 2}}, "game.options.discount = 2"),
+    (0, {"seed": -1}, "game.seed = -1"), (0, {"reveal": "all"}, "game.reveal = 'all'"), (0, {"room": 3}, "game.room"),
+    (1, {"call": ["look"]}, "turn 1.call"), (1, {"is_error": 1}, "turn 1.is_error"), (-1, {"score": {}}, "end.score"),
+])
+def test_a_game_with_a_value_that_no_game_has_is_refused(line: int, change: Any, words: str, tmp_path: Path):
+    session = make_session(get_room("pair"))
+    session.call("look")
+    lines = [json.loads(text) for text in record_game(session).to_lines()]
+    lines[line] |= change
+    (tmp_path / "bad.jsonl").write_text("".join(f"{json.dumps(each)}\n" for each in lines))
+    with pytest.raises(FileReadError, match=re.escape(words)):
+        load_games(tmp_path / "bad.jsonl")
 
 
 @pytest.mark.nightly

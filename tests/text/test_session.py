@@ -21,7 +21,7 @@ from hrl_escape.env.puzzles.marks import COLOURS, SHAPES, SIZES
 from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
 from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
-from hrl_escape.errors import ConfigError, ResetNeededError, UnknownNameError, UnsupportedError
+from hrl_escape.errors import ActionError, ConfigError, ResetNeededError, UnknownNameError, UnsupportedError
 from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.option import FunctionOption
 from hrl_escape.options.options_env import OptionsEnv
@@ -66,6 +66,28 @@ def test_an_option_that_cannot_start_costs_what_a_masked_one_does():
     assert result.is_error and f'"{name}" cannot start now' in result.text
     assert session.env.state == recorder.states[-1] and session.log[-1].duration == step[4]["duration"] == 1
     assert session.log[-1].action == action
+
+
+@pytest.mark.parametrize(("given", "kept"), [
+    ("x" * 999, "x" * 200), (2**60, "a large number"), (math.inf, "no finite number"), (None, None), (True, True),
+    (0.5, 0.5), ([1, [2, [3, [4]]]], [1, [2, "a list"]]), ({"a": {1: object}}, {"a": {"int": "a type"}}),
+    (list(range(20)), list(range(12)))])
+def test_the_transcript_keeps_a_short_form_of_what_a_call_was_given(given: Any, kept: Any):
+    session = make_session(get_room("pair"))
+    session.call("run_option", {"option": given})
+    call = session.transcript[-1].call
+    assert call is not None and call.arguments == {"option": kept}
+
+
+@pytest.mark.parametrize("action", [1.9, "1", None, [0], math.nan, 99, -1])
+def test_a_step_with_what_is_no_action_is_refused(action: Any):
+    env = TextEnv(OptionsEnv(EscapeRoomEnv(instance=get_room("pair"))), "names")
+    with pytest.raises(ResetNeededError, match="no game has begun"):
+        env.step(0)
+    env.reset(seed=0)
+    with pytest.raises(ActionError):
+        env.step(action)
+    assert len(env.transcript) == 1
 
 
 def test_a_move_repeats_and_stops_when_something_changes():

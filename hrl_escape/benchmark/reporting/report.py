@@ -153,7 +153,8 @@ def list_env_values(summary: Summary, agent: AgentSummary) -> list[str]:
 def _make_line(agent: AgentSummary, are_sets: bool) -> str:
     seen = "- | " if agent.seen is None else f"{agent.seen:.3f} | "
     return (f"| {make_markdown_text(agent.label)} | {agent.efficiency:.3f} "
-            f"| {seen * are_sets}{agent.progress.value:.2f} | {agent.success:.0%} | {agent.length.value:.0f} | {format_first_escape(agent)} "
+            f"| {seen * are_sets}{agent.progress.value:.2f} | {agent.success:.0%} | {agent.length.value:.0f} "
+            f"| {format_first_escape(agent)} "
             f"| {agent.score.value:.3f} | {agent.stuck:.0%} | {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import random
 import shutil
 import struct
@@ -165,6 +166,16 @@ def test_one_array_cannot_be_claimed_a_million_times(tmp_path):
     path = write_archive(tmp_path / "x.npz", {"tree.npy": make_tree(tree), "b.npy": make_npy(np.zeros(10**5))})
     with pytest.raises(CheckpointError, match=r"'b\.npy' is missing"):
         load_checkpoint(path)
+
+
+def test_a_tree_of_millions_of_values_is_refused_before_it_is_parsed(tmp_path):
+    tree = np.frombuffer(b'{"a":[' + b"{}," * (5 * 10**6) + b"{}]}", np.uint8)
+    path = write_archive(tmp_path / "x.npz", {"tree.npy": make_npy(tree)})
+    with pytest.raises(CheckpointError, match="MiB of memory; at most 1,024"):
+        load_checkpoint(path)
+    state = {"best": -math.inf, "mean": math.nan}
+    save_checkpoint(path, state)
+    assert str(load_checkpoint(path)) == str(state)
 
 
 def test_an_archive_that_says_it_is_encrypted_is_refused(whole, tmp_path):

@@ -247,6 +247,18 @@ def test_figures_are_svg_and_markdown_has_the_verdict(finished: Comparison, summ
     assert "runs in each of 3 rooms." in (finished.out / "thrice.md").read_text()
 
 
+def test_markdown_shows_names_from_files_as_they_are(summary: Summary, tmp_path: Path):
+    hostile = "<script>x</script>|[a](b)\n# <img src=x>"
+    grid = dataclasses.replace(summary.grid, name=hostile)
+    verdict = [dataclasses.replace(sentence, text=f"{hostile} {sentence.text}") for sentence in write_verdict(summary)]
+    rooms = tuple(dataclasses.replace(room, name=hostile) for room in summary.rooms)
+    write_markdown(dataclasses.replace(summary, grid=grid, rooms=rooms), verdict, f"x '{hostile}\n```\n<b>'",
+                   tmp_path / "x.md")
+    before, _, after = (tmp_path / "x.md").read_text().partition("````console\n")
+    assert "<" not in before and "|[" not in before and "\n# " not in before
+    assert after.splitlines()[1] == "````" and after.count("\n") == 2
+
+
 # --- it works in a browser -------------------------------------------------------------
 
 PROBE = """
