@@ -204,8 +204,9 @@ def main() -> int:
                     print(end, flush=True)
             ends, most, at = ends + more, max(most, memory), at + count
         failures += _report(run.__name__.removeprefix("run_"), ends, most)
-    told = list(run_commands(args.seed, args.commands))
-    for end, _ in told:
+    told: list[tuple[str, int]] = []
+    for end, memory in run_commands(args.seed, args.commands):
+        told.append((end, memory))
         if not end.islower():
             print(end, flush=True)
     failures += _report("command lines", [end for end, _ in told], max((memory for _, memory in told), default=0))

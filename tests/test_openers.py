@@ -33,7 +33,9 @@ import hrl_escape
 from hrl_escape.agents import load_agent, load_result, train
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.archive import describe_part, pack_run, read_summary
+from hrl_escape.agents.training.plots import read_csv_curve
 from hrl_escape.benchmark.conversion import convert_file
+from hrl_escape.benchmark.env_spec import _find_part
 from hrl_escape.benchmark.grid import load_grid
 from hrl_escape.benchmark.launching.local import _read_tail, read_progress
 from hrl_escape.benchmark.run_results import get_run_folder, load_run_result, read_episodes
@@ -296,6 +298,8 @@ DOORS: dict[str, Door] = {
                                     lambda: read_episodes(f, RUN))),
     "progress": Door(("training/log.jsonl",), make_log, lambda f: do(
         lambda: link_run(f), lambda: read_progress(f, RUN), lambda: _read_tail(f / "training" / "log.jsonl"))),
+    "curve": Door(("x.csv",), write(x__csv="step,return\n1,2\n"), lambda f: read_csv_curve(f / "x.csv")),
+    "module": Door(("x.py",), write(x__py="def make(): ..."), lambda f: _find_part(f"{f / 'x.py'}:make", "env")),
     "best known": Door((), lambda f: find_ends(f), find_ends),
     "personal bests": Door(("personal-bests.json",), lambda f: None, keep_best),
     "map": Door(("m.yaml", "m.png"), lambda f: (draw_map(f / "m.png"), write(m__yaml=json.dumps(MAP))(f)),
@@ -367,6 +371,7 @@ PLANTS: dict[str, Callable[[Path], object]] = {
     "picture of 13,000 x 13,000": fill(lambda: make_png(13_000)),
     "EPS": fill(lambda: b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n(%pipe%touch /tmp/x) (w) file\n"),
     "deep JSON": fill(lambda: b"[" * 10**6),
+    "long line": fill(lambda: b"step,return\n" + b"7" * 200_000),
     "many JSON values": fill(lambda: b'{"a":[' + b"{}," * 10**5 + b"{}]}"),
     "other bytes": fill(lambda: bytes(range(256)) * 40),
 }

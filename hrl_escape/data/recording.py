@@ -44,8 +44,8 @@ FIELDS: Mapping[str, type] = {
 _OF_EPISODES = ("episode_seed", "room", "decisions", "end")
 
 
-MOST_ACTIONS = 64
-"""Most actions of a recording: the bits of `Recording.legal`."""
+LEGAL_BITS = 64
+"""Bits of `Recording.legal`, one for each action: the most actions of a recording."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,7 +62,7 @@ class RecordingAbout:
     package: str
     command: str
     actions: tuple[str, ...]
-    primitive_count: Annotated[int, Range(0, MOST_ACTIONS)]
+    primitive_count: Annotated[int, Range(0, LEGAL_BITS)]
     policies: tuple[str, ...]
     scores: dict[str, float]
     asked_primitives: int | None = None
@@ -243,9 +243,9 @@ def _check_sizes(recording: Recording) -> None:
         if claimed != found:
             raise ValueError(f"its {name} stand for {claimed:,}, and it holds {found:,}")
     actions = len(recording.about["actions"])
-    if not recording.primitive_count <= actions <= MOST_ACTIONS:
+    if not recording.primitive_count <= actions <= LEGAL_BITS:
         raise ValueError(f"it has {actions} actions, of which {recording.primitive_count} are primitives; there are at "
-                         f"most {MOST_ACTIONS} actions")
+                         f"most {LEGAL_BITS} actions")
     limits = {"room": LARGEST_RANGE, "action": 2**7, "option": actions,
               "end": len(ENDS), "ended": 5, "cut": 2, "policy": len(recording.about["policies"])}
     for name, limit in limits.items():

@@ -99,7 +99,10 @@ def read_csv_curve(path: str | os.PathLike[str], agent: str = "", x: str = "", y
     """
     path = Path(path)
     content = [line for line in read_text(path, "CSV file").splitlines() if line and not line.startswith("#")]
-    rows = list(csv.DictReader(io.StringIO("\n".join(content))))
+    try:
+        rows = list(csv.DictReader(io.StringIO("\n".join(content))))
+    except csv.Error as error:
+        raise FileReadError(f"{path}: this CSV file cannot be read: {error}") from error
     names = {name.strip().lower(): name for name in (rows[0] if rows else {}) if name is not None}
     step = names.get(x.lower()) if x else next((names[name] for name in STEP_COLUMNS if name in names), names.get("l"))
     value = names.get(y.lower()) if y else next((names[name] for name in VALUE_COLUMNS if name in names), None)
