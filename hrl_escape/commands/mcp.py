@@ -1,11 +1,26 @@
-"""Serve a room to a language model by the Model Context Protocol, on stdin and stdout.
+"""Serve rooms to a language model by the Model Context Protocol, on stdin and stdout.
 
     hrl-escape mcp
     hrl-escape mcp --room ladder-1/lattice/test#3
-    hrl-escape mcp --room ladder-1/chain/test#0 --reveal names --record games/mine.jsonl
+    hrl-escape mcp --room ladder-1/chain/test#0..10 --reveal names --record games/mine.jsonl
 
-A client starts this command; its configuration contains only these words. Requires the extra `mcp`.
-The recorded game can be replayed and compared: see the page on tools.
+A client starts this command. `new_game` enters the next room. Requires the extra `mcp`.
+The recording holds the rooms only when the client has disconnected. Until then a reader finds no graph in it.
+
+The first start compiles for up to a minute. Give clients that have a start-up timeout more than that:
+
+    Claude Code     .mcp.json, with MCP_TIMEOUT=120000 in its environment:
+                    {"mcpServers": {"rooms": {"command": "hrl-escape", "args": ["mcp", "--room", "clutter#3"]}}}
+    Codex           ~/.codex/config.toml:
+                    [mcp_servers.rooms]
+                    command = "hrl-escape"
+                    args = ["mcp", "--room", "clutter#3"]
+                    startup_timeout_sec = 120
+                    tool_timeout_sec = 120
+    Gemini CLI      ~/.gemini/settings.json:
+                    {"mcpServers": {"rooms": {"command": "hrl-escape", "args": ["mcp"], "timeout": 120000}}}
+    VS Code         .vscode/mcp.json:
+                    {"servers": {"rooms": {"type": "stdio", "command": "hrl-escape", "args": ["mcp"]}}}
 """
 
 from __future__ import annotations
@@ -13,12 +28,14 @@ from __future__ import annotations
 import dataclasses
 import os
 import sys
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import IO
 
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.signals import Ended
 
 
@@ -31,60 +48,54 @@ class McpArgs(RoomChoice):
     options_only: bool = False
     """Offer no primitives."""
     episode_seed: int = 0
-    """Episode seed: fixes the start and the noise."""
+    """Episode seed: fixes the start and the noise of every game."""
     record: Path | None = None
-    """File for the game in JSON Lines, written when the game is over or the client disconnects: it contains the room
-    with everything that is hidden from the client. A file is for one server at a time."""
+    """File for the games in JSON Lines. The rooms, with everything that is hidden from the client, are added when the
+    client disconnects. A file is for one server at a time."""
+
+    def list_rooms(self) -> Sequence[RoomInstance]:
+        """Find the rooms: those of a set, or one room."""
+        found = self.find_rooms()
+        return found if isinstance(found, InstanceSet) else [self.make_instance()]
 
 
 def run(args: McpArgs) -> None:
-    """Serve one game until the client disconnects."""
-    from hrl_escape.env.escape_room import EscapeRoomEnv
-    from hrl_escape.options.options_env import OptionsEnv
+    """Serve games until the client disconnects."""
     from hrl_escape.text.mcp_server import make_server, serve  # needs the extra
-    from hrl_escape.text.recordings import record_game, save_games
-    from hrl_escape.text.text_env import RoomSession
-
-    env = OptionsEnv(EscapeRoomEnv(instance=args.make_instance()), include_primitives=not args.options_only)
-    session = RoomSession(env, args.reveal)
-    session.reset(seed=args.episode_seed)
-
-    is_saved = False
-
-    def save() -> None:
-        nonlocal is_saved
-        if args.record is not None and not is_saved:
-            save_games(args.record, [record_game(session)])
-            is_saved = True
+    from hrl_escape.text.series import GameSeries
 
     with nullcontext() if args.record is None else _reserve(args.record):
+        series = GameSeries(args.list_rooms(), args.reveal, args.episode_seed, not args.options_only, args.record)
         ended = 0
         try:
-            serve(make_server(session, lambda: save() if session.env.is_over else None))
+            serve(make_server(series))
         except Ended as signal:
             ended = signal.number
         finally:
-            save()
-            print(session.score(), file=sys.stderr, flush=True)
-            env.close()
-        if ended:
-            os._exit(128 + ended)  # a thread that waits for the client's next line would keep the process alive
+            for game in series.close():
+                print(game.score, file=sys.stderr, flush=True)
+    if ended:
+        os._exit(128 + ended)  # a thread that waits for the client's next line would keep the process alive
 
 
-def _reserve(path: Path) -> IO[bytes]:
-    """Open the file of a record and lock it, until it is replaced by the record or this process ends.
+@contextmanager
+def _reserve(path: Path) -> Iterator[None]:
+    """Keep other servers from recording into a file.
 
     Raises:
         RunBusyError: another process records into the file.
-        FileWriteError: the file cannot be written.
+        FileWriteError: the folder cannot be written.
     """
     from hrl_escape.errors import RunBusyError
     from hrl_escape.files import make_folder, open_for_writing
     from hrl_escape.processes import take_lock
 
     make_folder(path.parent)
-    file = open_for_writing(path)
-    if not take_lock(file):
-        file.close()
-        raise RunBusyError(f"{path}: another server records into this file. Choose another file for --record")
-    return file
+    lock = path.with_name(f"{path.name}.lock")
+    with open_for_writing(lock) as file:
+        if not take_lock(file):
+            raise RunBusyError(f"{path}: another server records into this file. Choose another file for --record")
+        try:
+            yield
+        finally:
+            lock.unlink(missing_ok=True)

@@ -32,6 +32,7 @@ from hrl_escape.planning.best_known import compute_expected_escape, find_best_kn
 from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
 from hrl_escape.step_info import read_action
+from hrl_escape.text.coercion import normalise_call
 from hrl_escape.text.words import clean, list_option_names, place, tell_changes, tell_room
 
 MOST_LOOKS, MOST_TIMES, MOST_TEXT = 10, 50, 200
@@ -90,6 +91,13 @@ class Score:
     primitives: int
     invalid_calls: int
     characters: int
+
+
+def describe_score(score: Score) -> str:
+    """Return a sentence on a score, for the end of a game."""
+    return (f"Score: {'escaped' if score.escaped else 'not escaped'}, efficiency {score.efficiency:.2f}, "
+            f"{count_nouns(score.primitives, 'primitive')}, {count_nouns(score.decisions, 'call')}, "
+            f"{score.invalid_calls} wrong.")
 
 
 def count_characters(turns: Sequence[Turn], tools: Sequence[Mapping[str, Any]]) -> int:
@@ -170,7 +178,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return step
 
     def begin(self, call: ToolCall) -> Turn | None:
-        """Begin a call; `call` can be any value.
+        """Begin a call; `call` can be any value, and is brought into normal form, see `hrl_escape.text.coercion`.
 
         Returns:
             The answer if the call takes no primitives. Otherwise None, and `action` is the action to step with.
@@ -181,7 +189,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         if self.is_over:
             raise ResetNeededError("call reset() first: no game has begun, or it is over")
         self.characters += self._size
-        call = self._call = _tidy_call(call)
+        call = self._call = _tidy_call(call, self.tools)
         self.action, self._left = None, 1
         self._wrong = self._read(call)
         self._looks = self._looks + 1 if call.name == "look" and not self._wrong else 0
@@ -363,8 +371,11 @@ def _make_tool(name: str, about: str, optional: Collection[str] = (), **properti
                             "additionalProperties": False}}
 
 
-def _tidy_call(call: Any) -> ToolCall:
+def _tidy_call(call: Any, tools: Sequence[Mapping[str, Any]]) -> ToolCall:
     name, arguments = call if isinstance(call, (tuple, list)) and len(call) == 2 else (call, {})
+    # Texts are cut first, so that a recorded call is its own normal form.
+    name, arguments = normalise_call(*(each[:MOST_TEXT] if isinstance(each, str) else each
+                                       for each in (name, arguments)), tools)
     return ToolCall(name[:MOST_TEXT] if isinstance(name, str) else json.dumps(_tidy(name)), _tidy(arguments))
 
 
@@ -461,14 +472,15 @@ class RoomSession:
     def call(self, name: Any, arguments: Any = None) -> ToolResult:
         """Call a tool. The answer to any call is a text.
 
-        An invalid call costs one primitive, like a masked option, and so does a call of an option that cannot start.
+        A call is brought into normal form first, see `hrl_escape.text.coercion`, which costs nothing. An invalid call
+        costs one primitive, like a masked option, and so does a call of an option that cannot start.
         After the end of a game, calls have no effect.
         """
         env = self.env
         if env.is_over:
             return ToolResult("The game is over: reset begins another." if env.transcript else
                               "No game has begun: reset begins one.", True)
-        env.begin(ToolCall(name, {} if arguments is None else arguments))
+        env.begin(ToolCall(name, arguments))
         while env.action is not None:
             env.step(env.action)
         return ToolResult(env.transcript[-1].text, env.transcript[-1].is_error)

@@ -1,4 +1,4 @@
-"""The server for language models: its tools are the session's; without the extra one message says what is missing."""
+"""The server for language models: its tools are the series' of games; without the extra one message names it."""
 
 from __future__ import annotations
 
@@ -17,48 +17,68 @@ HAS_MCP = importlib.util.find_spec("mcp") is not None
 
 
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
-def test_a_client_sees_the_session():
+def test_a_client_plays_two_rooms_and_sees_what_the_session_answers(tmp_path: Path):
     import anyio
     from mcp import Client
 
     from hrl_escape.text.mcp_server import make_server
+    from hrl_escape.text.series import GameSeries
 
-    room, heard = get_room("pair", 3), []
-    session, twin = make_session(room), make_session(room)
+    rooms, heard, told = [get_room("pair", 3), get_room("chain-3")], [], []
+    series, twin = GameSeries(rooms, record=tmp_path / "games.jsonl"), make_session(rooms[0])
     calls = [("run_option", {"option": "press-button-1"}), ("fly", {"x": 1}), ("move", {"primitive": "forward"}),
-             ("look", {}), ("run_option", {"option": "go-to-exit"})]
+             ("look", {}), ("run_option", {"option": "press-button-2"}), ("run_option", {"option": "press-button-1"}),
+             ("run_option", {"option": "go-to-exit"})]
+
+    async def hear(progress: float, total: float | None, message: str | None) -> None:
+        told.append((progress, total))
 
     async def talk() -> None:
-        async with Client(make_server(session)) as client:
-            assert client.instructions == twin.transcript[0].text
+        async with Client(make_server(series)) as client:
+            assert client.instructions == f"Game 1, of 2 rooms.\n{twin.transcript[0].text}"
             tools = (await client.list_tools()).tools
-            assert [(tool.name, tool.input_schema) for tool in tools] == [
-                (tool["name"], tool["inputSchema"]) for tool in twin.tools()]
+            assert [(tool.name, tool.input_schema) for tool in tools[:-1]] == [
+                (tool["name"], tool["inputSchema"]) for tool in twin.tools()] and tools[-1].name == "new_game"
             for name, arguments in calls:
-                result = await client.call_tool(name, arguments)
+                result = await client.call_tool(name, arguments, progress_callback=hear)
                 heard.append((result.content[0].text, result.is_error))
+            hidden = (tmp_path / "games.jsonl").read_text()
+            assert "edges" not in hidden and '"room"' not in hidden and "go-to-exit" in hidden
+            over = await client.call_tool("look", {})
+            assert over.is_error and '"new_game" begins another' in over.content[0].text
+            following = (await client.call_tool("new_game", {})).content[0].text
+            assert following == f"Game 2, of 2 rooms.\n{make_session(rooms[1]).transcript[0].text}"
+            assert "press-button-3" in (await client.list_tools()).tools[0].input_schema["properties"]["option"]["enum"]
 
     anyio.run(talk)
-    assert heard == [tuple(twin.call(*call)) for call in calls] and session.transcript == twin.transcript
+    alone = [tuple(twin.call(*call)) for call in calls]
+    assert heard[:-1] == alone[:-1] and heard[-1][0].startswith(alone[-1][0]) and "Score: escaped, " in heard[-1][0]
+    assert told and all(total == rooms[0].horizon for _, total in told)
+    series.close()
+    (game,) = verify_games(tmp_path / "games.jsonl")
+    assert game.score == twin.score() and list(game.turns) == twin.transcript
 
 
 @pytest.mark.nightly
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
-def test_the_command_serves_a_rung_on_standard_input_and_records_the_game(tmp_path: Path):
+def test_the_command_serves_rungs_on_standard_input_and_records_the_games(tmp_path: Path):
     import anyio
     from mcp import Client, StdioServerParameters, stdio_client
 
-    words = ["mcp", "--room", "ladder-1/pair/test#3", "--reveal", "names", "--record", str(tmp_path / "game.jsonl")]
+    words = ["mcp", "--room", "ladder-1/pair/test#3..5", "--reveal", "names", "--record", str(tmp_path / "game.jsonl")]
 
     async def talk() -> None:
         server = StdioServerParameters(command=sys.executable, args=["-m", "hrl_escape.cli", *words])
         async with Client(stdio_client(server)) as client:
             for option in ("press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
                 await client.call_tool("run_option", {"option": option})
+            await client.call_tool("new_game", {})
+            await client.call_tool("run_option", {"option": "press-button-1"})
 
     anyio.run(talk)
-    (game,) = verify_games(tmp_path / "game.jsonl")
-    assert game.room == get_room("pair", 3) and game.reveal == "names" and game.score.escaped
+    first, second = verify_games(tmp_path / "game.jsonl")
+    assert first.room == get_room("pair", 3) and first.reveal == "names" and first.score.escaped
+    assert second.room == get_room("pair", 4) and len(second.turns) == 2
 
 
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
@@ -98,11 +118,11 @@ def test_without_the_extra_one_line_names_it(capsys: pytest.CaptureFixture[str])
 
 @pytest.mark.parametrize(("words", "problem"), [
     (["--room", "ladder-1/lattices/test#0"], "lattices"), (["--room", "ladder-1/pair"], "ladder-1/pair/test#0"),
-    (["--room", "ladder-1/pair/test#1000"], "100 rooms"), (["--room", "ladder-1/pair/test"], "one room is needed")])
+    (["--room", "ladder-1/pair/test#1000"], "100 rooms"), (["--room", "clutter#*"], "one room is needed")])
 def test_an_impossible_room_is_one_line(words: list[str], problem: str):
     from hrl_escape.commands.mcp import McpArgs
     from hrl_escape.errors import EscapeError
 
     given = dict(zip((word.removeprefix("--") for word in words[::2]), words[1::2], strict=True))
     with pytest.raises(EscapeError, match=problem):
-        McpArgs(**given).make_instance()
+        McpArgs(**given).list_rooms()

@@ -35,7 +35,7 @@ from tests.text.rooms import get_room, make_env, make_session, play_manager
 WRONG = [("fly", {}), ("run_option", {}), ("run_option", {"option": 3}), ("run_option", {"option": "press-button-9"}),
          ("run_option", {"option": "go-to-exit", "speed": 2}), ("run_option", "go-to-exit"), ("run_option", None),
          ("look", {"at": 1}), ("move", {"primitive": "forward", "times": 0}),
-         ("move", {"primitive": "back", "times": True}), ("move", {"primitive": "back", "times": 2.0}),
+         ("move", {"primitive": "back", "times": True}), ("move", {"primitive": "back", "times": 2.5}),
          ("move", {"primitive": "hop"}), (None, None), (7, [1])]
 
 
@@ -53,6 +53,22 @@ def test_a_wrong_call_costs_one_primitive_and_says_what_would_be_valid(name: Any
     assert (score.primitives, score.invalid_calls, score.decisions, score.reward) == (1, 1, 1, -1.0)
     assert session.env.state.primitives == before.primitives + 1
     assert session.log[-1].action == -1 and session.log[-1].duration == 1
+
+
+@pytest.mark.parametrize(("name", "arguments"), [
+    ("move", {"primitive": "forward", "times": "3"}), ("move", {"primitive": "forward", "times": 3.0}),
+    ("mcp__rooms__move", '{"primitive": "forward", "times": " 3.0 "}'), ("functions.move", {
+        "primitive": "forward", "times": 3, "_meta": {"progressToken": 1}})])
+def test_a_call_in_a_client_s_own_form_is_the_call_it_means(name: str, arguments: Any):
+    session, twin = make_session(get_room("pair")), make_session(get_room("pair"))
+    assert session.call(name, arguments) == twin.call("move", {"primitive": "forward", "times": 3})
+    assert session.call("rooms:look", None) == twin.call("look") and session.call("look", "null") == twin.call("look")
+    assert session.call("move", {"primitive": "back", "times": None}) == twin.call("move", {"primitive": "back"})
+    assert session.transcript == twin.transcript and session.score() == twin.score()
+    assert session.score().invalid_calls == 0 and replay_game(record_game(session)) == record_game(session)
+    for wrong in ({"option": None}, {"option": "3"}, '{"option": 3}', "{" * 300):
+        assert session.call("run_option", wrong).is_error
+    assert session.score().invalid_calls == 4 and replay_game(record_game(session)) == record_game(session)
 
 
 def test_an_option_that_cannot_start_costs_what_a_masked_one_does():
@@ -319,7 +335,7 @@ class Odd:
 
 JUNK: tuple[Any, ...] = (
     None, True, -1, 10**400, 0.5, float("nan"), float("inf"), "", "go-to-exit", "\ud800", "x" * 100_000, "\n\n</tool>",
-    b"x",
+    b"x", "[" * 150, '{"option": "press-button-1"', '{"a":' * 30, "\x00", '["press-button-1"]',
     [], [[[[[[1]]]]]], {}, {"option": {"option": {"option": {"option": 1}}}}, {3: 4, None: 5}, Odd(), Odd, range(5),
     {"option": "press-button-1\n"}, {"primitive": "forward", "times": 10**30}, {"primitive": ["forward"]}, np.int64(3),
     np.ones(3), {"option": np.str_("leaves")}, dict.fromkeys(map(str, range(1000))))
@@ -333,7 +349,8 @@ def say_anything(count: int, seed: int) -> None:
     while said < count:
         name, arguments = NAMES[rng.integers(len(NAMES))], JUNK[rng.integers(len(JUNK))]
         if isinstance(name, str) and name == "look" and (
-                arguments is None or (isinstance(arguments, dict) and not arguments)):
+                arguments in (None, "") if arguments is None or isinstance(arguments, str) else
+                isinstance(arguments, dict) and not arguments):
             continue
         before, turns = session.score(), len(session.transcript)
         result = session.call(name, arguments)
