@@ -117,6 +117,8 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         seed: seed of the game, or None if the environment drew its start.
         transcript: the turns since the last reset with a seed.
         log: one SMDP transition per call that took primitives; action -1 is an invalid call.
+        decisions: primitives of each call that took any, in order.
+        start: first state of the game.
         is_over: whether the game is over, or none has begun.
         characters: characters that the caller has read; it reads tools and transcript again before every call.
         action: action of the call in progress; -1 for the idle primitive of an invalid call, None without a call.
@@ -141,6 +143,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self.reveal: Level = reveal
         self.transcript: list[Turn] = []
         self.log: list[SMDPTransition] = []
+        self.decisions: list[tuple[DomainStep, ...]] = []
         self.action: int | None = None
         self.characters = 0
         self.seed: int | None = None
@@ -159,7 +162,8 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._actions = {name: first + number for name, number in self._names.items()}
         self._primitives = {clean(name): number for number, name in enumerate(self.env.action_names[:first])}
         self._room_id, self.is_over, self.action, self.log = instance.id, False, None, []
-        self._start, self._rewards, self._invalid, self.characters, self._looks = self.state, [], 0, 0, 0
+        self.decisions = []
+        self.start, self._rewards, self._invalid, self.characters, self._looks = self.state, [], 0, 0, 0
         self._end = EpisodeEnd.STOPPED
         self._observation, self._mask = observation, read_action_mask(info, len(self.env.action_names))
         self.tools = self._make_tools()
@@ -241,8 +245,8 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def _find_fewest(self) -> float:
         dynamics = self.instance.dynamics
         if dynamics.is_random and dynamics.kind == "kinematic":
-            return compute_expected_escape(self.instance, self._start).primitives
-        return find_best_known(self.instance, self._start).primitives or 1
+            return compute_expected_escape(self.instance, self.start).primitives
+        return find_best_known(self.instance, self.start).primitives or 1
 
     # --- calls ---------------------------------------------------------------------------
 
@@ -285,6 +289,7 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
             return
         self.action = None
         self.log.append(_join(self._parts))
+        self.decisions.append(tuple(self._steps))
         self._invalid += bool(self._wrong)
         took = len(self._steps)
         lines = [f"Wrong call: {self._wrong}"] if self._wrong else []

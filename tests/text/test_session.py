@@ -139,7 +139,7 @@ def test_a_game_that_is_over_answers_and_costs_nothing():
         session.call("run_option", {"option": name})
     score = session.score()
     assert score.escaped and "escaped" in session.transcript[-1].text
-    best = find_best_known(get_room("pair", 3), session.env._start).primitives
+    best = find_best_known(get_room("pair", 3), session.env.start).primitives
     assert best is not None and score.efficiency == best / score.primitives < 1
     assert score.reward == 100 - score.primitives
     assert session.call("run_option", {"option": "go-to-exit"}).is_error and session.score() == score

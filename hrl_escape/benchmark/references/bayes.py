@@ -55,7 +55,7 @@ class BayesPlanner(SearchBaseline):
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
-        self._posterior: _Posterior | None = None  # of the current room only: 100 MB with six buttons
+        self._posterior: Posterior | None = None  # of the current room only: 100 MB with six buttons
         self._odds: NDArray[np.float64] | None = None
 
     def expect(self, odds: NDArray[np.float64] | None) -> None:
@@ -69,7 +69,7 @@ class BayesPlanner(SearchBaseline):
     def _begin(self, is_new: bool) -> None:
         if self._posterior is None or self._posterior.room.id != self._room.instance.id:
             rooms = getattr(self._room, "rooms", None)
-            self._posterior = _Posterior(self._room.instance,
+            self._posterior = Posterior(self._room.instance,
                                find_own_config(self._room.instance) if rooms is None else rooms.config, self._odds)
         if is_new:
             self._posterior.forget()
@@ -77,14 +77,14 @@ class BayesPlanner(SearchBaseline):
     def _note(self, action: int, before: RoomState, after: RoomState) -> None:
         target, = self._options[action].targets
         touched = after.touching & ~before.touching
-        lit = _get_bits(before) | _get_bits(after) & touched & ((1 << target) - 1)  # of two at once the lower is first
+        lit = get_bits(before) | get_bits(after) & touched & ((1 << target) - 1)  # of two at once the lower is first
         if touched >> target & 1 and not lit >> target & 1:
             assert self._posterior is not None
-            self._posterior.learn(target, lit, _get_bits(after), self._puzzle.is_solved(after.puzzle))
+            self._posterior.learn(target, lit, get_bits(after), self._puzzle.is_solved(after.puzzle))
 
     def _describe(self, action: int, state: RoomState) -> str:
         assert self._posterior is not None
-        return f"lights with {self._posterior.compute_odds(_get_bits(state))[self._options[action].targets[0]]:.0%}"
+        return f"lights with {self._posterior.compute_odds(get_bits(state))[self._options[action].targets[0]]:.0%}"
 
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
         assert self._posterior is not None
@@ -92,8 +92,23 @@ class BayesPlanner(SearchBaseline):
         return actions[self._posterior.choose(state, sorted(actions))]
 
 
-class _Posterior:
-    """Posterior over the graphs of one room, with path lengths."""
+class Posterior:
+    """Posterior over the graphs of one room, with path lengths.
+
+    Args:
+        room: the room, whose graph is not read.
+        room_config: configuration that the room was sampled from.
+        odds: prior over latent codes of cues, (codes,), or None for the default.
+
+    Attributes:
+        graph: beliefs and their transitions, or None with too many graphs to list.
+        family: graphs with their probabilities before the first press, where `graph` is given.
+        ways: path lengths, where `graph` is given.
+        costs: fewest expected primitives, float32 (beliefs, places), where `graph` is given.
+
+    Raises:
+        UnsupportedError: the puzzle has other parts than buttons that stay on and do not lock each other.
+    """
 
     def __init__(self, room: RoomInstance, room_config: RoomConfig, odds: NDArray[np.float64] | None) -> None:
         puzzle, config = room.puzzle, room_config.puzzle
@@ -103,22 +118,22 @@ class _Posterior:
         self.room, self._puzzle, self._planner = room, puzzle, get_planner(room)
         assert isinstance(config, ButtonsConfig)
         self._config, self._odds = config, odds
-        self._graph: BeliefGraph | None = None
+        self.graph: BeliefGraph | None = None
         has_doubtful_cues = bool(puzzle.marks) and 0 < config.marks.truth < 1
         doubts = (config.on_violation != "ignore") + has_doubtful_cues
         if puzzle.count <= MOST_BUTTONS - min(doubts, 1 if config.graph.kind == "chain" else 2):  # chains are few
             family = make_family(self._config, puzzle.count)
-            self._family = condition_on_room(family, config, room, odds)
-            make = _make_belief_graph if self._family is family else BeliefGraph  # one for all rooms, or the room's own
-            self._graph = make(self._family)
-            self._ways = measure_paths(self._planner)
-            self._costs = self._graph.solve(self._ways)
+            self.family = condition_on_room(family, config, room, odds)
+            make = _make_belief_graph if self.family is family else BeliefGraph  # one for all rooms, or the room's own
+            self.graph = make(self.family)
+            self.ways = measure_paths(self._planner)
+            self.costs = self.graph.solve(self.ways)
 
     def forget(self) -> None:
         """Return to the prior."""
         self._last: int | None = None  # button pressed last
-        if self._graph is not None:
-            self._graphs = np.arange(len(self._family.weights), dtype=np.int32)
+        if self.graph is not None:
+            self._graphs = np.arange(len(self.family.weights), dtype=np.int32)
         else:
             rng = np.random.default_rng(self.room.seed)
             self._particles = GraphParticles(self._config, self._puzzle.count, rng, self._puzzle.marks)
@@ -126,10 +141,10 @@ class _Posterior:
     def learn(self, target: int, lit: int, after: int, has_opened: bool) -> None:
         """Condition on a press of a button that was off; `lit` and `after` are the bits before and after it."""
         self._last, has_lit = target, bool(after >> target & 1)
-        if self._graph is None:
+        if self.graph is None:
             self._particles.learn((target, lit, has_lit, has_opened))
             return
-        family, kept = self._family, self._graphs
+        family, kept = self.family, self._graphs
         allowed = can_light(family.parents[kept, target], lit)
         agrees = allowed == has_lit
         if has_lit:
@@ -141,13 +156,13 @@ class _Posterior:
 
     def choose(self, state: RoomState, targets: Sequence[int]) -> int:
         """Return the next button to press, among those with legal options."""
-        lit = _get_bits(state)
+        lit = get_bits(state)
         legs = np.array([walk_path(self._planner, state, PressGoal(target))[1] for target in targets])
-        belief = None if self._graph is None else self._graph.find(lit, self._graphs)
-        if self._graph is not None and belief is not None:
+        belief = None if self.graph is None else self.graph.find(lit, self._graphs)
+        if self.graph is not None and belief is not None:
             at, count = np.array([belief]), self._puzzle.count
             last = count if self._last is None else self._last
-            after = [self._graph.compute_costs_after(self._costs, at, target, self._ways) for target in targets]
+            after = [self.graph.compute_costs_after(self.costs, at, target, self.ways) for target in targets]
             costs = legs + [cost[0, last * count + target] for cost, target in zip(after, targets, strict=True)]
             if np.isfinite(costs).any():
                 return targets[int(costs.argmin())]
@@ -157,19 +172,20 @@ class _Posterior:
 
     def infer_code(self) -> NDArray[np.float64] | None:
         """Return the posterior over latent codes, (codes,), or None without codes, or with sampled graphs."""
-        if self._graph is None or self._config.marks.motifs == 1:
+        if self.graph is None or self._config.marks.motifs == 1:
             return None
-        weights = self._family.weights[self._graphs]
-        left = self._family.select(self._graphs, weights / weights.sum())
+        weights = self.family.weights[self._graphs]
+        left = self.family.select(self._graphs, weights / weights.sum())
         return infer_code(left, self._config.marks, self._puzzle.marks, self._odds)
 
     def compute_odds(self, lit: int) -> NDArray[np.float64]:
         """Compute the probability that a press turns each button on, (buttons,); `lit` holds the bits of those on."""
-        if self._graph is None:
+        if self.graph is None:
             return self._particles.compute_odds(lit)
-        family, kept = self._family, self._graphs
+        family, kept = self.family, self._graphs
         return family.weights[kept] @ can_light(family.parents[kept], lit) / family.weights[kept].sum()
 
 
-def _get_bits(state: RoomState) -> int:
+def get_bits(state: RoomState) -> int:
+    """Return the bits of the buttons that are on."""
     return cast(int, state.puzzle)

@@ -26,6 +26,10 @@ MOST_BELIEFS = 3_000_000
 class BeliefGraph:
     """Beliefs that presses can lead to in a family of graphs, children before parents.
 
+    Args:
+        family: the graphs.
+        lit: bits of the buttons that are on at first.
+
     Raises:
         UnsupportedError: more than `MOST_BELIEFS` beliefs.
 
@@ -39,12 +43,12 @@ class BeliefGraph:
         dark: the belief after a press without effect.
     """
 
-    def __init__(self, family: GraphFamily) -> None:
+    def __init__(self, family: GraphFamily, lit: int = 0) -> None:
         self.family = family
         self._numbers: dict[tuple[int, int], int] = {}
         self._rows: list[tuple[list[Any], ...]] = []
         self._levels: list[int] = []
-        self.root = self._add(0, np.arange(len(family.weights), dtype=np.int32))
+        self.root = self._add(lit, np.arange(len(family.weights), dtype=np.int32))
         opens, lights, fails, resets, lit, reset, dark = zip(*self._rows, strict=True)
         self.opens, self.lights = np.array(opens, np.float32), np.array(lights, np.float32)
         self.fails, self.resets = np.array(fails, np.float32), np.array(resets, np.float32)
