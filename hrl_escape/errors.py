@@ -387,6 +387,10 @@ class VerificationError(EscapeError, ValueError):
 # --- the viewer ------------------------------------------------------------------------
 
 
+class EndpointError(EscapeError, RuntimeError):
+    """The endpoint of a language model refuses requests, or does not answer them."""
+
+
 class AddressError(EscapeError, OSError):
     """The viewer cannot listen on an address: its port is in use, or it belongs to another machine."""
 

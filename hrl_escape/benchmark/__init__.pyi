@@ -2,6 +2,7 @@ from .compare import CompareResult, compare
 from .comparison import run_grid
 from .env_spec import EnvSpec
 from .grid import Grid
+from .models import GameResult, ModelResult, evaluate_model
 from .pretrained import Pretrained, list_pretrained, load_pretrained
 from .recording import RecordedEpisode, record_episode
 from .reporting.report import write_report
@@ -11,9 +12,12 @@ __all__ = [
     "CompareResult",
     "EnvSpec",
     "RecordedEpisode",
+    "GameResult",
     "Grid",
+    "ModelResult",
     "Pretrained",
     "compare",
+    "evaluate_model",
     "list_pretrained",
     "load_pretrained",
     "record_episode",

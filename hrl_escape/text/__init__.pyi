@@ -1,3 +1,4 @@
+from .chat import Budget, ChatClient, ChatModel, Reply, Usage
 from .managers import Model, ToolsAgent, make_model, models
 from .recordings import (
     Game,
@@ -8,13 +9,19 @@ from .recordings import (
     save_games,
     verify_games,
 )
+from .series import GameSeries
 from .text_env import REVEAL_LEVELS, RoomSession, Score, TextEnv, ToolCall, ToolResult, Turn
 
 __all__ = [
+    "Budget",
+    "ChatClient",
+    "ChatModel",
     "Game",
+    "GameSeries",
     "REVEAL_LEVELS",
     "Model",
     "RecordedModel",
+    "Reply",
     "RoomSession",
     "Score",
     "TextEnv",
@@ -22,6 +29,7 @@ __all__ = [
     "ToolResult",
     "ToolsAgent",
     "Turn",
+    "Usage",
     "load_games",
     "make_model",
     "models",

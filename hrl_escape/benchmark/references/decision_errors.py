@@ -11,8 +11,9 @@ The realised regret of an episode, its primitives minus the expected ones at the
 
 *Luck* is the outcome of each press minus its expectation. It averages to zero over graphs drawn from the configuration,
 for every player that has only seen this episode. A player that knows the room from before has less luck than zero.
-*Path* is zero with up to three buttons, where every leg is planned from the exact pose. With more buttons this holds
-for the next leg, and later legs have the lengths of a table (`path_lengths.py`); *path* is the difference. An episode
+*Path* is what is left: plans are not always the shortest. With up to three buttons every leg is planned from the exact
+pose, and *path* is zero unless a player ends where a shorter way is found. With more buttons this holds for the next
+leg; later legs have the lengths of a table (`path_lengths.py`), and *path* has the difference too. An episode
 that is cut off counts the primitives that are still expected; a failed puzzle counts as much as the exit is worth.
 
 Park et al. (arXiv 2604.13151) estimate both errors from actions alone: see `action_errors.py`.
