@@ -42,7 +42,7 @@ from hrl_escape.sets.instance_set import InstanceSet
 
 REFERENCES = ("bayes", "search-nearest", "search-random", "search-backtrack", "sweep", "sweep-random")
 CALLERS = (("random", "names"), ("search-random", "names"), ("search-nearest", "places"), ("oracle", "model"))
-LEARNERS = ("smdp-q-learning", "smdp-dqn", "smdp-ppo+objects+memory")
+LEARNERS = ("smdp-q-learning", "smdp-dqn", "smdp-ppo")
 GUESSED = "chain-3"
 
 
@@ -54,7 +54,7 @@ class Args:
     """Rungs of ladder-1."""
     rooms: int = 10
     """Test rooms of each rung, from the first."""
-    primitives: int = 20_000
+    primitives: int = 10_000
     """Primitives of training; 0 leaves the agents trained here out."""
     games: int = 1000
     """Games with drawn graphs; 0 leaves them out."""
@@ -81,12 +81,11 @@ def list_players(rung: str, test: InstanceSet, seeds: Sequence[int], primitives:
         yield "trained agent of the package", name, loaded.agent, env, recorder
     for name in LEARNERS if primitives else ():
         spec = AgentSpec.parse(name)
-        observation = "objects" if "objects" in name else "features"
-        train_env, _ = make_agent_env(spec, load_benchmark("ladder-1")[rung].train, observation)
+        train_env, _ = make_agent_env(spec, load_benchmark("ladder-1")[rung].train, "features")
         agent = make_agent(spec, train_env.observation_space, train_env.action_space, 0)
         with closing(train_env):
             train(agent, train_env, primitives=primitives, eval_episodes=0, progress=False)
-        env, recorder = make_agent_env(spec, test, observation, schedule)
+        env, recorder = make_agent_env(spec, test, "features", schedule)
         yield f"trained for {primitives:,} primitives", name, agent, env, recorder
 
 
@@ -144,11 +143,12 @@ def draw_games(count: int) -> Iterator[EpisodeErrors]:
 def run(args: Args) -> None:
     """Play, write the results and print the table."""
     lines = []
+    found: dict[str, Any] = {"rooms": args.rooms, "primitives_of_training": args.primitives, "lines": lines}
     for rung in args.rungs:
         for line in measure_rung(rung, args):
             lines.append(line)
+            write_json(args.out, found)
             print(*(f"{line[key]}" for key in line if key != "rooms"), sep="  ", file=sys.stderr, flush=True)
-    found: dict[str, Any] = {"rooms": args.rooms, "primitives_of_training": args.primitives, "lines": lines}
     if args.games:
         errors = [*draw_games(args.games)]
         parts = {key: np.array([getattr(each, key) for each in errors])

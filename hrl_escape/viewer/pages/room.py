@@ -71,6 +71,11 @@ class RoomPage:
         for client in self.server.get_clients().values():
             self._choose(client, self._cameras.get(client.client_id, VIEWS[0]))
 
+    def hide_graph(self, discovery: PressEvidence | None, state: RoomState) -> None:
+        """Hide the graph but for the evidence of presses, or show it for None."""
+        self._discovery, self.scene.is_hidden = discovery, discovery is not None
+        self.show(state)
+
     def show(self, state: RoomState) -> None:
         """Show a state at once."""
         self._pose = self.scene.model.make_pose(state)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from hrl_escape.benchmark.episodes import PrimitiveStep
-from hrl_escape.env.kinematics import EpisodeEnd
+from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.puzzles.graphs import find_edges_that_matter
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
@@ -28,6 +28,7 @@ from hrl_escape.viewer.extra import uplot
 from hrl_escape.viewer.pages.panels import KnownEdges, make_bars, make_facts, make_lines, make_table
 from hrl_escape.viewer.pages.room import RoomPage, name_room
 from hrl_escape.viewer.play.commands import praise
+from hrl_escape.viewer.play.episode import PressEvidence
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.watch import Preview, Watch
 
@@ -37,6 +38,8 @@ REFRESH = 0.1
 GAMMA_K = "\N{GREEK SMALL LETTER GAMMA}\N{MODIFIER LETTER SMALL K}"
 SMDP_NOTE = f"k: number of primitives; R: their discounted reward; {GAMMA_K}: discount of the next state's value"
 NESTED = 3 * "\N{NO-BREAK SPACE}"
+CALLER, ROOM, ERROR = "#0b57d0", "#5f6368", "#b3261e"
+"""Colours of speakers in a transcript."""
 _ENDED = {"reached": "", "episode-over": "episode over"}
 
 
@@ -58,8 +61,8 @@ class WatchPage:
         self._planned: tuple[Preview | None] | None = None  # plan in the current drawing
         room = watch.driver.room
         self._navigator = Navigator(room.instance)
-        self.page = RoomPage(server, room.instance, room.room.state if room.room else room.get_state(),
-                             owns_keys=True)
+        self._evidence = None if watch.driver.text_env is None else PressEvidence(room.instance)
+        self.page = RoomPage(server, room.instance, self._get_state(), owns_keys=True, discovery=self._evidence)
         watch.on_change, watch.on_wait = self._show_change, self._show_wait
         self._build()
 
@@ -89,7 +92,9 @@ class WatchPage:
         self._talk = None
         if self.watch.driver.text_env is not None:
             with tabs.add_tab("Transcript"):
+                reveal = gui.add_checkbox("show the true graph", False)
                 self._talk = gui.add_html("")
+            reveal.on_update(lambda event: self._reveal(event.target.value))
         with tabs.add_tab("Agent"):
             self._calls = gui.add_html("", visible=False)
             self._values = gui.add_html("")
@@ -130,6 +135,14 @@ class WatchPage:
             gate.step(primitives=int(what == "1 primitive"), decisions=int(what == "1 decision"))
         self._show_facts()
 
+    def _reveal(self, is_shown: bool) -> None:
+        """Show the true graph of a room whose caller does not see it, or hide it again."""
+        self.page.hide_graph(None if is_shown else self._evidence, self._get_state())
+
+    def _get_state(self) -> RoomState:
+        room = self.watch.driver.room
+        return self.watch.states[-1] if self.watch.states else room.room.state if room.room else room.get_state()
+
     def _set_pace(self) -> None:
         self.watch.gate.pace = None if self._fast.value else float(self._speed.value)
 
@@ -159,6 +172,8 @@ class WatchPage:
     def _show_change(self, step: PrimitiveStep | None) -> None:
         """Show a choice (no step) or a primitive."""
         pace = self.watch.gate.pace
+        if step is not None and self._evidence is not None:
+            self._evidence.note(step)
         if step is not None and pace is not None:
             self.page.move(step.after, 1.0 / pace, lambda: self.watch.gate.pace != pace)
         is_due = self.watch.gate.is_paused or time.monotonic() - self._refreshed >= REFRESH
@@ -234,7 +249,7 @@ class WatchPage:
         self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls")
         self._calls.visible = bool(calls)
         if self._talk is not None and watch.driver.text_env is not None:
-            self._talk.content = make_lines(_list_turns(watch.driver.text_env.transcript), "talk")
+            self._talk.content = make_talk(watch.driver.text_env.transcript)
         self._log.content = make_lines(list(reversed(watch.events))[:24], "log")
         if len(watch.values) > 1:
             xs, ys = zip(*watch.values, strict=True)
@@ -277,13 +292,23 @@ class WatchPage:
         ], "now")
 
 
-def _list_turns(turns: Sequence[Turn]) -> Iterator[str]:
-    """Calls of a game with their answers, the latest first, then the text that began it."""
-    for turn in reversed(turns):
+def make_talk(turns: Sequence[Turn]) -> str:
+    """Return a game as HTML, the oldest turn first, with the name of each speaker. The box stays at its end."""
+    said = []
+    for turn in turns:
         if turn.call is not None:
             values = turn.call.arguments.values() if isinstance(turn.call.arguments, dict) else [turn.call.arguments]
-            yield Markup("<b>{}</b> {}").format(turn.call.name, ", ".join(map(str, values)))
-        yield Markup('<span style="color:{}">{}</span>').format("#b3261e", turn.text) if turn.is_error else turn.text
+            said.append(_make_speech("Caller", Markup("<b>{}</b> {}").format(
+                turn.call.name, ", ".join(map(str, values))), CALLER))
+        said.append(_make_speech("Room", turn.text, ERROR if turn.is_error else ROOM))
+    return ('<div style="display:flex;flex-direction:column-reverse;max-height:440px;overflow-y:auto">'
+            f'{make_lines(said, "talk")}</div>')
+
+
+def _make_speech(speaker: str, text: str, colour: str) -> Markup:
+    return Markup('<div class="speech" data-speaker="{0}" style="border-left:3px solid {2};padding-left:6px;'
+                  'margin:3px 0;white-space:pre-line"><b style="color:{2}">{0}</b> {1}</div>').format(
+                      speaker, text, colour)
 
 
 def run_in_thread(page: WatchPage) -> threading.Thread:
