@@ -2,7 +2,7 @@ from .compare import CompareResult, compare
 from .comparison import run_grid
 from .env_spec import EnvSpec
 from .grid import Grid
-from .models import GameResult, ModelResult, evaluate_model
+from .models import GameResult, ModelResult, evaluate_model, evaluate_recordings
 from .pretrained import Pretrained, list_pretrained, load_pretrained
 from .recording import RecordedEpisode, record_episode
 from .reporting.report import write_report
@@ -18,6 +18,7 @@ __all__ = [
     "Pretrained",
     "compare",
     "evaluate_model",
+    "evaluate_recordings",
     "list_pretrained",
     "load_pretrained",
     "record_episode",

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
@@ -27,13 +27,13 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import ConfigError, EndpointError, FileReadError, RunMismatchError, UnsupportedError
 from hrl_escape.files import make_folder, read_json, write_json
-from hrl_escape.names import count_nouns
+from hrl_escape.names import count_nouns, join_words
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets.grammar import find_set
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.text.chat import Budget, ChatModel, GameStopped, Usage
 from hrl_escape.text.managers import Model
-from hrl_escape.text.recordings import record_game, save_games
+from hrl_escape.text.recordings import record_game, replay_session, save_games, verify_games
 from hrl_escape.text.text_env import Score, TextEnv
 
 _SCHEMA = 1
@@ -201,6 +201,31 @@ def evaluate_model(client: Any, rung: str = "pair", reveal: Level = "places", ro
         raise failures[0]
     return ModelResult(name, chosen.name, reveal, tuple(results[number] for number in sorted(results)),
                        dict(sorted(problems.items())), budget.spent, budget.spent.compute_cost(budget.prices))
+
+
+def evaluate_recordings(name: str, paths: Iterable[str | Path]) -> ModelResult:
+    """Return the row of recorded games of one caller: a person, a client of `hrl-escape mcp`, or a model elsewhere.
+
+    Args:
+        name: name of the caller.
+        paths: files of recorded games. Each game is replayed.
+
+    Raises:
+        FileReadError: a file is missing or damaged.
+        VerificationError: a game does not replay to the same bytes.
+        ConfigError: there are no files, or games of several levels of `reveal`.
+    """
+    games = [game for path in paths for game in verify_games(path)]
+    if len({game.reveal for game in games}) != 1:
+        raise ConfigError("games", join_words(sorted({game.reveal for game in games})) or "none",
+                          "games of one level of reveal, at least one")
+    results = []
+    for number, game in enumerate(games):
+        with closing(replay_session(game).env) as env:
+            results.append(GameResult(number, game.score, "over" if env.is_over else "stopped", **measure_game(env),
+                                      usage=Usage()))
+    rooms = join_words(sorted({game.room.name for game in games}))
+    return ModelResult(name, rooms, games[0].reveal, tuple(results), {}, Usage(), 0.0)
 
 
 def _play_game(model: Model, rooms: InstanceSet, number: int, reveal: Level, seed: int, include_primitives: bool,

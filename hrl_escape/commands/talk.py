@@ -3,9 +3,11 @@
     hrl-escape talk --model my-model --endpoint http://localhost:8000/v1
     hrl-escape talk --model my-model --endpoint https://host/v1 --room ladder-1/chain-3/test#0..10 --out games/my-model
     hrl-escape talk --me --room ladder-1/pair/test#0..3
+    hrl-escape talk --games episodes/game-*.jsonl
 
 The key is read from the environment and written nowhere. Every game is recorded in --out, and the same command resumes.
-The last lines are the row of the model for the table of reference scores. Requires the extra `llm`; `--me` does not.
+`--games` prints the row of recorded games, such as those of `hrl-escape play --hidden` and `hrl-escape mcp`.
+The last lines are the row of the model for the table of reference scores. Requires the extra `llm`; `--me` and `--games` do not.
 """
 
 from __future__ import annotations
@@ -31,6 +33,8 @@ class TalkArgs:
     """Address up to /v1."""
     me: bool = False
     """Play yourself, by the text that a model reads."""
+    games: tuple[Path, ...] = ()
+    """Files of recorded games to replay instead; they give one row."""
     room: str = "ladder-1/pair/test#0..10"
     """Rooms, one game each: a set, or some rooms of it."""
     reveal: Level = "places"
@@ -67,11 +71,14 @@ class TalkArgs:
 
 def run(args: TalkArgs) -> None:
     """Play the games and print the row."""
-    from hrl_escape.benchmark.models import GameResult, evaluate_model
+    from hrl_escape.benchmark.models import GameResult, evaluate_model, evaluate_recordings
     from hrl_escape.text.chat import Budget, ChatClient
     from hrl_escape.text.person import Person
 
     console = Console(soft_wrap=True, highlight=False)
+    if args.games:
+        console.print(evaluate_recordings(args.model or "recorded", args.games).describe(), markup=False)
+        return
     if args.me and (args.model or args.endpoint):
         raise UnsupportedError("--me plays without a model: leave --model and --endpoint out")
     if not args.me and not (args.model and args.endpoint):

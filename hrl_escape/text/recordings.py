@@ -10,6 +10,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -162,18 +163,21 @@ def load_games(path: str | Path) -> tuple[Game, ...]:
     return tuple(games)
 
 
+def replay_session(game: Game) -> RoomSession:
+    """Replay a game's calls in its room; the caller closes `env` of the session."""
+    session = RoomSession(OptionsEnv(EscapeRoomEnv(instance=game.room), **game.options), game.reveal)
+    session.reset(seed=game.seed)
+    for turn in game.turns[1:]:
+        assert turn.call is not None
+        session.call(*turn.call)
+    return session
+
+
 def replay_game(game: Game) -> Game:
     """Replay a game's calls in its room."""
-    env = OptionsEnv(EscapeRoomEnv(instance=game.room), **game.options)
-    try:
-        session = RoomSession(env, game.reveal)
-        session.reset(seed=game.seed)
-        for turn in game.turns[1:]:
-            assert turn.call is not None
-            session.call(*turn.call)
+    session = replay_session(game)
+    with closing(session.env):
         return record_game(session)
-    finally:
-        env.close()
 
 
 def verify_games(path: str | Path) -> tuple[Game, ...]:

@@ -10,12 +10,15 @@ from typing import Any
 
 import pytest
 
-from hrl_escape.benchmark import evaluate_model
+from hrl_escape.benchmark import evaluate_model, evaluate_recordings
 from hrl_escape.cli import main
 from hrl_escape.errors import ConfigError, EndpointError, FileReadError, RunMismatchError
 from hrl_escape.text import Budget, ChatClient, make_model, verify_games
 from hrl_escape.text.person import Person
+from hrl_escape.viewer.play.commands import Command, carry_out
+from hrl_escape.viewer.play.episode import Episode
 from tests.text.fake_endpoint import FAULTS, KEY, SLOW_FAULTS, run_endpoint
+from tests.text.rooms import get_room
 
 
 def connect(url: str, **arguments: Any) -> ChatClient:
@@ -110,6 +113,25 @@ def test_scripts_and_people_get_the_row_of_a_model(tmp_path: Path):
     assert game.score.escaped and game.score.invalid_calls == 0 and found.unfinished == {1: "the person stopped"}
     assert shown[0] == verify_games(tmp_path / "me/game-000.jsonl")[0].turns[0].text
     assert set(found.to_row()) == set(script) and "| me | ladder-1/pair/test" in found.describe()
+
+
+def test_a_first_try_of_hidden_play_becomes_a_row(capsys, tmp_path: Path):
+    for takes_back in (False, True):
+        episode = Episode(get_room("pair", 3), is_hidden=True)
+        for name in ("press-button-2", "turn-left", "press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
+            if takes_back:
+                carry_out(Command("act", episode.names.index("forward")), episode, tmp_path)
+                carry_out(Command("undo"), episode, tmp_path)
+            said = carry_out(Command("act", episode.names.index(name)), episode, tmp_path)
+        assert episode.end.value == "escaped" and ("recorded as" in said) is not takes_back
+        episode.close()
+    (path,) = tmp_path.glob("game-*.jsonl")
+    assert main(["talk", "--games", str(path), "--model", "me"]) == 0
+    assert "| me | pair | places | 1 | 1.00 |" in capsys.readouterr().out
+    row = evaluate_recordings("me", [path]).to_row()
+    assert row["exploration"] is not None and row["calls"] == 6 and row["wrong_calls"] == 0
+    with pytest.raises(ConfigError, match="at least one"):
+        evaluate_recordings("me", [])
 
 
 def test_the_command_prints_the_row(capsys, tmp_path: Path):

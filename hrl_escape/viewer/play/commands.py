@@ -13,6 +13,7 @@ from hrl_escape.env.kinematics import EpisodeEnd
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.errors import FileReadError
 from hrl_escape.files import read_json, write_json
+from hrl_escape.text.recordings import save_games
 from hrl_escape.viewer.play.episode import Episode, PlayedMove, save_episode
 
 MOVES = {
@@ -142,10 +143,22 @@ def _act(action: int, episode: Episode, folder: Path, best: float | None) -> str
     move = episode.do(action)
     if move is None:
         return f"{episode.names[action]} cannot start here"
-    if episode.end is EpisodeEnd.ESCAPED:
-        said = praise(episode.total, best)
-        return f"{said}{'' if said.endswith('!') else '.'} {_keep_personal_best(episode, folder)}"
-    return episode.end.words.capitalize() if episode.is_over else _describe(move, episode)
+    if not episode.is_over:
+        return _describe(move, episode)
+    recorded = _record_first_try(episode, folder)
+    if episode.end is not EpisodeEnd.ESCAPED:
+        return f"{episode.end.words.capitalize()}{recorded}"
+    said = praise(episode.total, best)
+    return f"{said}{'' if said.endswith('!') else '.'} {_keep_personal_best(episode, folder)}{recorded}"
+
+
+def _record_first_try(episode: Episode, folder: Path) -> str:
+    """Record a first try with a hidden graph as a game, see `hrl-escape talk --games`; return words for a message."""
+    if episode.discovery is None or not episode.is_first_try:
+        return ""
+    path = (folder / f"game-{episode.to_saved().file_name}").with_suffix(".jsonl")
+    save_games(path, [episode.to_game()])
+    return f". The game is recorded as {path}"
 
 
 def praise(total: float, best: float | None) -> str:

@@ -14,6 +14,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Callable, Collection, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError, OldF
 from hrl_escape.files import read_json, write_json
 from hrl_escape.names import make_file_name
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.text.recordings import Game, record_game
+from hrl_escape.text.text_env import RoomSession
 
 SCHEMA = 3
 
@@ -147,6 +150,8 @@ class Episode:
     Attributes:
         instance: current room.
         discovery: evidence on a graph that has to be discovered, or None if the graph is shown.
+        is_first_try: whether the episode is the first in its room, without a move taken back, so that a recording
+            compares with an agent's episode.
         moves: all moves since the episode began.
         running: number of primitives of the current move so far.
         on_step: called after every primitive.
@@ -169,12 +174,14 @@ class Episode:
         self.primitive_count = len(self._env.rules.actions)
         self.option_names = self.names[self.primitive_count :]
         self.reset()
+        self.is_first_try = True
 
     # --- moves ---------------------------------------------------------------------------------
 
     def reset(self) -> None:
         """Restart the same episode."""
         self._options.reset(seed=self.seed)
+        self.is_first_try = False
         self.moves: list[PlayedMove] = []
         self.running: list[PrimitiveStep] = []
         self.start = self._env.get_state()
@@ -203,6 +210,7 @@ class Episode:
         if not self.moves:
             return None
         move = self.moves.pop()
+        self.is_first_try = False
         self._env.set_state(move.steps[0].before)
         self._options.resume()
         return move
@@ -273,6 +281,22 @@ class Episode:
     def is_legal(self, action: int) -> bool:
         """Return whether the episode is running and a primitive or meta-action can start now."""
         return not self.is_over and bool(self._options.action_masks()[action])
+
+    def to_game(self) -> Game:
+        """Return this episode as a game of tool calls, one a move, as a caller at level `places` would have played it.
+
+        Raises:
+            EpisodeFileError: the calls lead elsewhere than the moves did.
+        """
+        session = RoomSession(OptionsEnv(EscapeRoomEnv(instance=self.instance)), "places")
+        with closing(session.env):
+            session.reset(seed=self.seed)
+            for move in self.moves:
+                is_option = move.name in self.option_names
+                session.call("run_option" if is_option else "move", {"option" if is_option else "primitive": move.name})
+            if session.env.state != self.state:
+                raise EpisodeFileError("the moves cannot be written as calls of options and primitives")
+            return record_game(session)
 
     def to_saved(self) -> SavedEpisode:
         """Return the content of this episode's file."""
