@@ -1,10 +1,12 @@
-"""Errors of decisions are those of a plain recursion over graphs, sum to the regret, and leave luck that averages to 0."""
+"""Errors of decisions are those of a plain recursion, and sum to the regret with luck that averages to zero."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,7 +37,8 @@ def play(name: str, room: RoomInstance, seed: int = 0) -> tuple[RoomState, list[
 
 
 def check_sum(errors: EpisodeErrors) -> None:
-    assert errors.regret == pytest.approx(errors.exploration + errors.exploitation + errors.luck + errors.path, abs=1e-4)
+    parts = errors.exploration + errors.exploitation + errors.luck + errors.path
+    assert errors.regret == pytest.approx(parts, abs=1e-4)
     assert all(min(each.exploration, each.exploitation) >= 0 for each in errors.decisions)
 
 
@@ -139,7 +142,7 @@ def test_moves_wrong_calls_and_games_that_stop_are_measured():
     assert errors.decisions[3].exploitation > 0, "its first press has shown the order"
 
 
-@pytest.mark.parametrize("rung", ["drift", "code", "lattice"])
+@pytest.mark.parametrize("rung", ["drift", "code", "lattice", "doors"])
 def test_rooms_without_exact_beliefs_are_refused(rung: str):
     with pytest.raises(UnsupportedError, match=rung):
         ErrorMeter(get_room(rung))
@@ -161,3 +164,17 @@ def test_errors_from_actions_are_the_counts_of_their_definition():
     assert run(wrong, wrong) == (0.5, 0.0), "the second press of a button that stays off leads to no target"
     assert run(wrong, right, right) == (1 / 3, 0.0)
     assert run(right, wrong, right, "go-to-exit") == (0.0, 0.5), "the exit was open"
+
+
+def test_the_page_has_the_table_of_the_benchmark():
+    from benchmarks.decision_errors import Args, make_table
+
+    found = json.loads(Args().out.read_text(encoding="utf-8"))
+    page = (Path(__file__).parents[2] / "docs/exploration.md").read_text(encoding="utf-8")
+    assert "\n".join(make_table(found["lines"])) in page
+    for line in found["lines"]:
+        parts = line["exploration"] + line["exploitation"] + line["luck"] + line["path"]
+        assert line["regret"] == pytest.approx(parts, abs=1e-2)
+        assert line["player"] != "bayes" or line["exploration"] + line["exploitation"] < 0.5
+    luck = found["games"]["luck"]
+    assert found["games"]["count"] == 1000 and abs(luck["mean"]) < 3 * luck["standard_error"]

@@ -94,20 +94,20 @@ def test_a_record_that_cannot_be_written_is_refused_before_the_game(monkeypatch,
 
 
 @pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
-def test_the_record_holds_nothing_during_the_game_and_belongs_to_one_server(monkeypatch, capsys, tmp_path: Path):
-    sizes, codes = [], []
+def test_the_record_hides_the_room_during_the_game_and_belongs_to_one_server(monkeypatch, capsys, tmp_path: Path):
+    written, codes = [], []
 
     def serve(server: object) -> None:
-        sizes.append((tmp_path / "game.jsonl").stat().st_size)
+        written.append((tmp_path / "game.jsonl").read_text())
         codes.append(main(["mcp", "--record", str(tmp_path / "game.jsonl")]))
         raise Ended(15)
 
     monkeypatch.setattr("hrl_escape.text.mcp_server.serve", serve)
     monkeypatch.setattr("os._exit", codes.append)
     main(["mcp", "--record", str(tmp_path / "game.jsonl")])
-    assert sizes == [0] and codes == [2, 143]
+    assert '"room"' not in written[0] and codes == [2, 143]
     assert "another server records into this file" in capsys.readouterr().err
-    assert len(verify_games(tmp_path / "game.jsonl")) == 1
+    assert len(verify_games(tmp_path / "game.jsonl")) == 1 and not (tmp_path / "game.jsonl.lock").exists()
 
 
 @pytest.mark.skipif(HAS_MCP, reason="the extra mcp is installed")

@@ -42,7 +42,6 @@ from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.sets.own_config import find_own_config
 
-
 MOST_EXACT = 3
 """Largest number of buttons with every leg planned from the exact pose."""
 
@@ -109,12 +108,14 @@ class ErrorMeter:
         config: configuration that it was sampled from; by default the preset or rung of its name.
 
     Raises:
-        UnsupportedError: the Bayes planner does not list the room's graphs exactly, or the dynamics are random.
+        UnsupportedError: the Bayes planner does not list the room's graphs exactly, the dynamics are random, or there are
+            doors within the room.
     """
 
     def __init__(self, room: RoomInstance, config: RoomConfig | None = None) -> None:
-        if room.dynamics.is_random:
-            raise UnsupportedError(f"errors of decisions need dynamics without noise; {room.name} has noise")
+        if room.dynamics.is_random or room.inner_doors:
+            raise UnsupportedError("errors of decisions need dynamics without noise, and no doors within the room; "
+                                   f"{room.name} has {'noise' if room.dynamics.is_random else 'doors'}")
         posterior = Posterior(room, config or find_own_config(room), None)
         if posterior.graph is None:
             raise UnsupportedError(f"errors of decisions need rooms whose graphs can be listed, with up to five or six "
