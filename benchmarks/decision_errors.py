@@ -3,9 +3,10 @@
     python -m benchmarks.decision_errors                       # writes decision-errors.json and prints the table
     python -m benchmarks.decision_errors --rungs pair --rooms 3 --games 0 --out /tmp/errors.json
 
-Every player plays one episode in each of the first test rooms of a rung. Trained agents come with the package, or are
-trained in the rung's training rooms. Errors are sums of an episode in primitives, means over rooms; those from actions
-are shares of decisions. The last part draws graphs for one room, lets a player that guesses play each once, and reports
+Finished lines in the file are kept, and the same command resumes. Every player plays one episode in each of the first
+test rooms of a rung. Trained agents come with the package, or are trained in the rung's training rooms. Errors are sums
+of an episode in primitives, means over rooms; those from actions are shares of
+decisions. The last part draws graphs for one room, lets a player that guesses play each once, and reports
 the mean of regret, errors, luck and path with standard errors: luck is zero in expectation.
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ from hrl_escape.benchmark.references.decision_errors import EpisodeErrors, Error
 from hrl_escape.benchmark.replay import make_view_env
 from hrl_escape.cli import run_script
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.files import write_json
+from hrl_escape.files import read_json, write_json
 from hrl_escape.planning.best_known import find_best_known
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
@@ -43,7 +44,7 @@ from hrl_escape.sets.instance_set import InstanceSet
 REFERENCES = ("bayes", "search-nearest", "search-random", "search-backtrack", "sweep", "sweep-random")
 CALLERS = (("random", "names"), ("search-random", "names"), ("search-nearest", "places"), ("oracle", "model"))
 LEARNERS = ("smdp-q-learning", "smdp-dqn", "smdp-ppo")
-GUESSED = "chain-3"
+PACKAGED, GUESSED = "trained agent of the package", "chain-3"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,38 +56,48 @@ class Args:
     rooms: int = 10
     """Test rooms of each rung, from the first."""
     primitives: int = 10_000
-    """Primitives of training; 0 leaves the agents trained here out."""
+    """Primitives of training."""
+    trained: tuple[str, ...] = ("pair",)
+    """Rungs with agents that are trained here."""
     games: int = 1000
     """Games with drawn graphs; 0 leaves them out."""
     out: Path = Path(__file__).parent / "decision-errors.json"
     """File for the results."""
 
 
-def list_players(rung: str, test: InstanceSet, seeds: Sequence[int], primitives: int
+def list_players(rung: str, test: InstanceSet, seeds: Sequence[int], primitives: int, done: Collection[tuple[str, str]]
                  ) -> Iterator[tuple[str, str, Agent, gymnasium.Env, StateRecorder]]:
-    """Kind, name, player, environment and recorder of every player of a rung."""
+    """Kind, name, player, environment and recorder of every player of a rung that is not done."""
     schedule = {str(seed): number for number, seed in enumerate(seeds)}
     specs = [("reference", name, AgentSpec(name)) for name in REFERENCES]
     specs += [("caller", f"{model}, {reveal}", AgentSpec("text-agent", settings={"model": model, "reveal": reveal}))
               for model, reveal in CALLERS]
     for kind, name, spec in specs:
+        if (kind, name) in done:
+            continue
         env, recorder = make_agent_env(spec, test, "features", schedule)
         yield kind, name, make_player(spec, env, recorder), env, recorder
-    spec = AgentSpec("random-options")
-    env, recorder = make_agent_env(spec, test, "features", schedule)
-    yield "reference", "random-options", make_agent(spec, env.observation_space, env.action_space, 0), env, recorder
+    if ("reference", "random-options") not in done:
+        spec = AgentSpec("random-options")
+        env, recorder = make_agent_env(spec, test, "features", schedule)
+        yield "reference", "random-options", make_agent(spec, env.observation_space, env.action_space, 0), env, recorder
     for name in list_pretrained().get(f"ladder-1/{rung}", ()):
+        if (PACKAGED, name) in done:
+            continue
         loaded = load_pretrained(f"ladder-1/{rung}", name)
         env, recorder = make_view_env(loaded.card.view, test, schedule)
-        yield "trained agent of the package", name, loaded.agent, env, recorder
+        yield PACKAGED, name, loaded.agent, env, recorder
+    kind = f"trained for {primitives:,} primitives"
     for name in LEARNERS if primitives else ():
+        if (kind, name) in done:
+            continue
         spec = AgentSpec.parse(name)
         train_env, _ = make_agent_env(spec, load_benchmark("ladder-1")[rung].train, "features")
         agent = make_agent(spec, train_env.observation_space, train_env.action_space, 0)
         with closing(train_env):
             train(agent, train_env, primitives=primitives, eval_episodes=0, progress=False)
         env, recorder = make_agent_env(spec, test, "features", schedule)
-        yield f"trained for {primitives:,} primitives", name, agent, env, recorder
+        yield kind, name, agent, env, recorder
 
 
 def play(player: Agent, env: gymnasium.Env, recorder: StateRecorder, seed: int) -> tuple[Any, list[Any], bool]:
@@ -98,12 +109,13 @@ def play(player: Agent, env: gymnasium.Env, recorder: StateRecorder, seed: int) 
     return recorder.states[0], decisions, escaped
 
 
-def measure_rung(rung: str, args: Args) -> Iterator[dict[str, Any]]:
-    """One line for every player."""
+def measure_rung(rung: str, args: Args, done: Collection[tuple[str, str]]) -> Iterator[dict[str, Any]]:
+    """One line for every player that is not done."""
     test = load_benchmark("ladder-1")[rung].test
     seeds = [compute_episode_seed(0, "evaluation", number) for number in range(args.rooms)]
     meters = [ErrorMeter(test[number], test.config) for number in range(args.rooms)]
-    for kind, name, player, env, recorder in list_players(rung, test, seeds, args.primitives):
+    for kind, name, player, env, recorder in list_players(
+            rung, test, seeds, args.primitives if rung in args.trained else 0, done):
         lines = []
         for number, seed in enumerate(seeds):
             start, decisions, escaped = play(player, env, recorder, seed)
@@ -142,10 +154,13 @@ def draw_games(count: int) -> Iterator[EpisodeErrors]:
 
 def run(args: Args) -> None:
     """Play, write the results and print the table."""
-    lines = []
-    found: dict[str, Any] = {"rooms": args.rooms, "primitives_of_training": args.primitives, "lines": lines}
+    settings = {"rooms": args.rooms, "primitives_of_training": args.primitives}
+    known = read_json(args.out, "results") if args.out.exists() else {}
+    lines = known["lines"] if known and {key: known[key] for key in settings} == settings else []
+    found: dict[str, Any] = {**settings, "lines": lines, **({"games": known["games"]} if "games" in known else {})}
     for rung in args.rungs:
-        for line in measure_rung(rung, args):
+        done = {(line["kind"], line["player"]) for line in lines if line["rung"] == rung}
+        for line in measure_rung(rung, args, done):
             lines.append(line)
             write_json(args.out, found)
             print(*(f"{line[key]}" for key in line if key != "rooms"), sep="  ", file=sys.stderr, flush=True)

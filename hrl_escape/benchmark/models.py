@@ -9,6 +9,7 @@ folder, each finished game is recorded, and the same call resumes.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -269,14 +270,13 @@ def measure_game(env: TextEnv, config: RoomConfig | None = None) -> dict[str, fl
         env: the game.
         config: configuration of the room; by default the preset or rung of its name.
     """
-    room, found = env.instance, dict[str, float | None]()
-    try:
+    room, exact = env.instance, (None, None, None)
+    with contextlib.suppress(UnsupportedError):
         errors = ErrorMeter(room, config).measure(env.start, env.decisions)
-        found = {"exploration": errors.exploration, "exploitation": errors.exploitation, "luck": errors.luck}
-    except UnsupportedError:
-        found = dict.fromkeys(("exploration", "exploitation", "luck"))
+        exact = errors.exploration, errors.exploitation, errors.luck
     shares = estimate_errors(room, env.decisions) if isinstance(room.puzzle, ButtonsPuzzle) else (None, None)
-    return {**found, **dict(zip(("exploration_from_actions", "exploitation_from_actions"), shares, strict=True))}
+    names = "exploration", "exploitation", "luck", "exploration_from_actions", "exploitation_from_actions"
+    return dict(zip(names, (*exact, *shares), strict=True))
 
 
 def _resume(folder: Path, settings: Mapping[str, Any], budget: Budget) -> dict[int, GameResult]:
@@ -288,7 +288,8 @@ def _resume(folder: Path, settings: Mapping[str, Any], budget: Budget) -> dict[i
     known = read_json(folder / "settings.json", "settings of games")
     if known != settings:
         different = sorted(key for key in settings if not isinstance(known, dict) or known.get(key) != settings[key])
-        raise RunMismatchError(f"{folder} holds games with other settings ({', '.join(different)}): take another folder")
+        raise RunMismatchError(f"{folder} holds games with other settings ({', '.join(different)}): "
+                               "take another folder")
     done = {}
     for path in [*folder.glob("usage.json"), *sorted(folder.glob("game-*.json"))]:
         value = read_json(path, "result of games")

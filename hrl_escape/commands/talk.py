@@ -7,7 +7,7 @@
 
 The key is read from the environment and written nowhere. Every game is recorded in --out, and the same command resumes.
 `--games` prints the row of recorded games, such as those of `hrl-escape play --hidden` and `hrl-escape mcp`.
-The last lines are the row of the model for the table of reference scores. Requires the extra `llm`; `--me` and `--games` do not.
+The last lines of the output are the row of the caller. A model requires the extra `llm`.
 """
 
 from __future__ import annotations

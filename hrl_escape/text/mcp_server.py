@@ -34,9 +34,10 @@ def make_server(series: GameSeries) -> Server[Any]:
         return types.ListToolsResult(tools=[types.Tool.model_validate(tool) for tool in series.tools()])
 
     async def call_tool(context: Any, params: types.CallToolRequestParams) -> types.CallToolResult:
+        result = ToolResult("")
         async with one_at_a_time, anyio.create_task_group() as group:
             group.start_soon(_report, context, series)
-            result: ToolResult = await anyio.to_thread.run_sync(series.call, params.name, params.arguments)
+            result = await anyio.to_thread.run_sync(series.call, params.name, params.arguments)
             group.cancel_scope.cancel()
         if series.number != begun[0]:  # the next room has other options
             begun[0] = series.number

@@ -53,7 +53,8 @@ class GameSeries:
                  include_primitives: bool = True, record: str | Path | None = None) -> None:
         if not len(rooms):
             raise ConfigError("rooms", rooms, "at least one room")
-        self._rooms, self._reveal, self._seed, self._record = rooms, reveal, seed, record
+        self._rooms, self._seed, self._record = rooms, seed, record
+        self._reveal: Level = reveal
         self._include_primitives = include_primitives
         self.games: list[Game] = []
         self.number = -1

@@ -49,10 +49,10 @@ class BeliefGraph:
         self._rows: list[tuple[list[Any], ...]] = []
         self._levels: list[int] = []
         self.root = self._add(lit, np.arange(len(family.weights), dtype=np.int32))
-        opens, lights, fails, resets, lit, reset, dark = zip(*self._rows, strict=True)
+        opens, lights, fails, resets, *after = zip(*self._rows, strict=True)
         self.opens, self.lights = np.array(opens, np.float32), np.array(lights, np.float32)
         self.fails, self.resets = np.array(fails, np.float32), np.array(resets, np.float32)
-        self.lit, self.reset, self.dark = (np.array(after, np.int32) for after in (lit, reset, dark))
+        self.lit, self.reset, self.dark = (np.array(beliefs, np.int32) for beliefs in after)
         del self._rows
 
     def __len__(self) -> int:

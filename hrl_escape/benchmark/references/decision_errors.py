@@ -108,8 +108,8 @@ class ErrorMeter:
         config: configuration that it was sampled from; by default the preset or rung of its name.
 
     Raises:
-        UnsupportedError: the Bayes planner does not list the room's graphs exactly, the dynamics are random, or there are
-            doors within the room.
+        UnsupportedError: the Bayes planner does not list the room's graphs exactly, the dynamics are random, or there
+            are doors within the room.
     """
 
     def __init__(self, room: RoomInstance, config: RoomConfig | None = None) -> None:
@@ -121,7 +121,8 @@ class ErrorMeter:
             raise UnsupportedError(f"errors of decisions need rooms whose graphs can be listed, with up to five or six "
                                    f"buttons; {room.name} has {len(room.targets)}")
         legs = _Legs(room)
-        self._room, self._prior = room, _Belief(posterior.family, posterior.graph, posterior.ways, posterior.costs, legs)
+        self._room = room
+        self._prior = _Belief(posterior.family, posterior.graph, posterior.ways, posterior.costs, legs)
 
     def measure(self, start: RoomState, decisions: Sequence[Sequence[DomainStep]]) -> EpisodeErrors:
         """Measure the errors of an episode.
@@ -139,7 +140,8 @@ class ErrorMeter:
                 outcomes = belief.list_outcomes(press)
                 here = k + sum(odds * each.compute_value(after) for _, odds, each in outcomes)
                 best = min(here, belief.compute_value(state, press and press.target))
-                following = next((each for name, _, each in outcomes if press is None or name == press.outcome), None)
+                following = next((each for name, _, each in outcomes if press is None or name == press.outcome),
+                                 None)
                 if following is None:
                     raise UnsupportedError(f"the configuration of {self._room.name} draws no graph that agrees with "
                                            "these presses: pass the configuration that the room is from")
