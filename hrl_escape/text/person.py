@@ -8,7 +8,7 @@ from typing import Any
 from hrl_escape.text.chat import GameStopped
 from hrl_escape.text.text_env import ToolCall, Turn
 
-HELP = "Type an option or its number, look, a primitive with a number of times, or quit."
+INPUTS = "Type an option or its number, look, a primitive with a number of times, or quit."
 
 
 class Person:
@@ -35,7 +35,7 @@ class Person:
         primitives: list[str] = schemas["move"]["primitive"]["enum"] if "move" in schemas else []
         self._show(transcript[-1].text)
         if len(transcript) == 1:
-            self._show("\n".join(f"{number}: {option}" for number, option in enumerate(options, 1)) + f"\n{HELP}")
+            self._show("\n".join(f"{number}: {option}" for number, option in enumerate(options, 1)) + f"\n{INPUTS}")
         while True:
             try:
                 word, _, times = self._read("> ").strip().partition(" ")
@@ -51,4 +51,4 @@ class Person:
                 return ToolCall("run_option", {"option": word})
             if word in primitives:
                 return ToolCall("move", {"primitive": word, "times": times or "1"})
-            self._show(HELP)
+            self._show(INPUTS)

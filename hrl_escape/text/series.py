@@ -17,7 +17,7 @@ from hrl_escape.names import count_nouns
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text.coercion import normalise_call
 from hrl_escape.text.recordings import Game, record_game, save_games
-from hrl_escape.text.text_env import RoomSession, ToolResult, Turn, describe_score
+from hrl_escape.text.text_env import RoomSession, ToolResult, Turn, tell_score
 
 NEW_GAME = "new_game"
 
@@ -88,12 +88,12 @@ class GameSeries:
         is_over = self.session.env.is_over
         result = self.session.call(name, arguments)
         if is_over:
-            return ToolResult(f'The game is over. {describe_score(self.session.score())} "{NEW_GAME}" begins another.',
+            return ToolResult(f'The game is over. {tell_score(self.session.score())} "{NEW_GAME}" begins another.',
                               True)
         self._write_progress()
         if not self.session.env.is_over:
             return result
-        return ToolResult(f"{result.text} {describe_score(self.session.score())}", result.is_error)
+        return ToolResult(f"{result.text} {tell_score(self.session.score())}", result.is_error)
 
     def close(self) -> tuple[Game, ...]:
         """End the current game, write the recording with the rooms, and return all games that had a call."""

@@ -93,7 +93,7 @@ class Score:
     characters: int
 
 
-def describe_score(score: Score) -> str:
+def tell_score(score: Score) -> str:
     """Return a sentence on a score, for the end of a game."""
     return (f"Score: {'escaped' if score.escaped else 'not escaped'}, efficiency {score.efficiency:.2f}, "
             f"{count_nouns(score.primitives, 'primitive')}, {count_nouns(score.decisions, 'call')}, "

@@ -138,7 +138,7 @@ class _Trail:
 
 
 def _leads_nearer(room: RoomInstance, steps: Sequence[DomainStep], wanted: set[int]) -> bool:
-    """Whether a decision ends nearer to a target, by straight-line distance."""
+    """Return whether a decision ends nearer to a target, by straight-line distance."""
     places = {EXIT: room.exit.centre} | {i: (target.x, target.y) for i, target in enumerate(room.targets)}
     first, last = steps[0].state, steps[-1].next_state
     return any(math.dist(places[target], (last.x, last.y)) < math.dist(places[target], (first.x, first.y)) - 1e-9

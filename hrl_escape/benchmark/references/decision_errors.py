@@ -42,7 +42,7 @@ from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.planner import get_planner
 from hrl_escape.sets.own_config import find_own_config
 
-MOST_EXACT = 3
+MOST_PLANNED = 3
 """Largest number of buttons with every leg planned from the exact pose."""
 
 
@@ -208,7 +208,7 @@ class _Belief:
 
     @property
     def fixes_order(self) -> bool:
-        """Whether presses that are certain to turn their buttons on open the exit under every graph."""
+        """True if presses that are certain to turn their buttons on open the exit under every graph."""
         parents, lit = self._family.parents[self._kept], self._lit
         while True:
             sure = [button for button in range(self._legs.count)
@@ -225,7 +225,7 @@ class _Belief:
         parents = self._family.parents[self._kept]
         useful = [button for button in range(self._legs.count) if button != without and not self._lit >> button & 1
                   and can_light(parents[:, button], self._lit).any()]
-        if self._legs.count > MOST_EXACT:
+        if self._legs.count > MOST_PLANNED:
             after = self._read_table(useful)
         else:
             after = [sum(odds * each.compute_value(arrivals[button])
