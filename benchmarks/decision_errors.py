@@ -44,7 +44,7 @@ from hrl_escape.sets.instance_set import InstanceSet
 REFERENCES = ("bayes", "search-nearest", "search-random", "search-backtrack", "sweep", "sweep-random")
 CALLERS = (("random", "names"), ("search-random", "names"), ("search-nearest", "places"), ("oracle", "model"))
 LEARNERS = ("smdp-q-learning", "smdp-dqn", "smdp-ppo")
-PACKAGED, GUESSED = "trained agent of the package", "chain-3"
+PACKAGED, GUESSED = "comes with the package", "chain-3"
 
 
 @dataclasses.dataclass(frozen=True)
