@@ -38,6 +38,7 @@ from hrl_escape.benchmark.conversion import convert_file
 from hrl_escape.benchmark.env_spec import _find_part
 from hrl_escape.benchmark.grid import load_grid
 from hrl_escape.benchmark.launching.local import _read_tail, read_progress
+from hrl_escape.benchmark.models import _resume
 from hrl_escape.benchmark.run_results import get_run_folder, load_run_result, read_episodes
 from hrl_escape.data import load_data
 from hrl_escape.data.convert import convert_data
@@ -55,6 +56,7 @@ from hrl_escape.planning.world import World
 from hrl_escape.sets.grammar import find_rooms
 from hrl_escape.sets.manifest import load_manifest
 from hrl_escape.sets.places import RunPlace
+from hrl_escape.text.chat import Budget
 from hrl_escape.text.recordings import RecordedModel, record_game
 from hrl_escape.text.text_env import RoomSession
 from hrl_escape.viewer.play.episode import load_episode
@@ -293,6 +295,9 @@ DOORS: dict[str, Door] = {
     "games": Door(("x.jsonl",), lambda f: (f / "x.jsonl").write_text(play_game()), lambda f: do(
         lambda: RecordedModel(f / "x.jsonl"), lambda: convert_data(f / "x.jsonl", f / "out.jsonl"),
         lambda: AgentSpec.parse(f"text-agent(model={json.dumps(str(f / 'x.jsonl'))})").resolve_settings())),
+    "model's games": Door(("settings.json", "usage.json", "game-0.json"),
+                          write(settings__json="{}", usage__json="{}", **{"game-0__json": "{}"}),
+                          lambda f: _resume(f, {}, Budget())),
     "comparison": Door(("run_result.json", "episodes.json"), write(run_result__json="{}", episodes__json="[]"),
                        lambda f: do(lambda: link_run(f), lambda: load_run_result(f, RUN),
                                     lambda: read_episodes(f, RUN))),

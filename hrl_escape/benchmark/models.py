@@ -26,12 +26,20 @@ from hrl_escape.benchmark.references.decision_errors import ErrorMeter
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
-from hrl_escape.errors import ConfigError, EndpointError, FileReadError, RunMismatchError, UnsupportedError
+from hrl_escape.errors import (
+    ConfigError,
+    EndpointError,
+    FileReadError,
+    RunMismatchError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from hrl_escape.files import make_folder, read_json, write_json
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.sets.grammar import find_set
 from hrl_escape.sets.instance_set import InstanceSet
+from hrl_escape.settings import read_record
 from hrl_escape.text.chat import Budget, ChatModel, GameStopped, Usage
 from hrl_escape.text.managers import Model
 from hrl_escape.text.recordings import record_game, replay_session, save_games, verify_games
@@ -68,12 +76,12 @@ class GameResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {**dataclasses.asdict(self), "usage": self.usage._asdict()}
+        return dataclasses.asdict(self)
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any]) -> GameResult:
-        """Read the values of `to_dict`."""
-        return cls(**{**value, "score": Score(**value["score"]), "usage": Usage(**value["usage"])})
+        """Read the values of `to_dict`; raises `ConfigError` for a value that is not valid."""
+        return read_record(cls, value, "game")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,7 +192,7 @@ def evaluate_model(client: Any, rung: str = "pair", reveal: Level = "places", ro
                 on_game(result)
         if folder is not None:
             with simulation:
-                write_json(folder / "usage.json", budget.spent._asdict())
+                write_json(folder / "usage.json", dataclasses.asdict(budget.spent))
 
     missing = [number for number in range(len(chosen)) if number not in done]
     if not is_chat:
@@ -295,10 +303,10 @@ def _resume(folder: Path, settings: Mapping[str, Any], budget: Budget) -> dict[i
         value = read_json(path, "result of games")
         try:
             if path.name == "usage.json":
-                budget.charge(Usage(**value))
+                budget.charge(read_record(Usage, value, "usage"))
             else:
                 result = GameResult.from_dict(value)
                 done[result.room] = result
-        except (KeyError, TypeError, ValueError) as error:
+        except (ConfigError, UnknownNameError) as error:
             raise FileReadError(f"{path} is damaged ({error}). Delete it to play the game again") from error
     return done

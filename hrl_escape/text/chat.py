@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import math
 import random
@@ -28,7 +29,8 @@ INSTRUCTIONS = ("You play a game by calling tools. Every reply must call one too
 REMINDER = "Call one of the tools."
 
 
-class Usage(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Usage:
     """Tokens and requests.
 
     Attributes:
@@ -45,7 +47,7 @@ class Usage(NamedTuple):
 
     def add(self, other: Usage) -> Usage:
         """Return the sum."""
-        return Usage(*map(sum, zip(self, other, strict=True)))
+        return Usage(*map(sum, zip(dataclasses.astuple(self), dataclasses.astuple(other), strict=True)))
 
     def compute_cost(self, prices: tuple[float, float]) -> float:
         """Return the cost in dollars at prices per million tokens, read and written."""
