@@ -9,6 +9,7 @@ Importing this module imports numba.
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import re
@@ -21,8 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config, event
+from numba.core import compiler, config, event
 from numba.core.caching import UserProvidedCacheLocator
+from numba.core.codegen import JITCodeLibrary
 
 from hrl_escape.version import __version__
 
@@ -43,13 +45,54 @@ _PARTS = {"agents": "structure learning", "env": "the room's geometry", "floor":
           "options": "options in batches", "planning.arm": "the arm", "planning": "the planner's search"}
 """Purpose of the kernels of each part of the package, for the progress line."""
 _CONFIG: Any = config  # numba sets its attributes at import
-_UNCOUNTED: dict[str, Any] = {"_nrt": False}
-"""Numba's option for code without its runtime, which allocates arrays and counts references to them."""
+
+
+class _PartLibrary(JITCodeLibrary):
+    """Intermediate code of a function that only other compiled code calls.
+
+    The kernels that contain it are optimised and turned into machine code; numba would do both for each function, too.
+    """
+
+    @property
+    def codegen(self) -> Any:
+        """Nothing that could be called, and thus takes no environment."""
+        return self
+
+    def set_env(self, env_name: str, env: Any) -> None:
+        """Leave out the environment, which a kernel from the cache has not either for its parts."""
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return the address of a function of CPython that raises `TypeError`, for calls from Python."""
+        super().get_pointer_to_function(name)
+        return ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value or 0
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        self._finalized = True
+
+
+class _PartCompiler(compiler.Compiler):
+    """Compiles into a `_PartLibrary`."""
+
+    def __init__(self, typingctx: Any, targetctx: Any, library: Any, *values: Any) -> None:
+        super().__init__(typingctx, targetctx, library or _PartLibrary(targetctx.codegen(), "part"), *values)
+
+
+_COUNTED: dict[str, Any] = {"no_cfunc_wrapper": True}
+"""Numba's options for code that is called from Python, and from C by nobody."""
+_UNCOUNTED: dict[str, Any] = {**_COUNTED, "_nrt": False}
+"""Numba's options for code without its runtime, which allocates arrays and counts references to them."""
+PART: dict[str, Any] = {**_UNCOUNTED, "no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+"""Numba's options for code that only other compiled code calls."""
 
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function at first use and cache it on disk."""
-    return _compile(function, {})
+    return _compile(function, _COUNTED)
 
 
 def kernel_in_place(function: Callable[..., Any]) -> Any:
@@ -99,8 +142,11 @@ def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
 
 def kernel_part(function: Callable[..., Any]) -> Any:
-    """Compile a function that neither allocates nor returns an array, as part of the kernels that call it."""
-    return numba.njit(**_UNCOUNTED)(function)
+    """Compile a function that neither allocates nor returns an array, as part of the kernels that call it.
+
+    Only they can call it; from Python it raises `TypeError`.
+    """
+    return numba.njit(**PART)(function)
 
 
 def add_sources(files: Iterable[Path]) -> None:

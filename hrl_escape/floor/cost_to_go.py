@@ -24,7 +24,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.floor import dijkstra
 from hrl_escape.floor.clearance import CollisionMap
-from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene
+from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene, turns_anywhere
 
 MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
@@ -165,7 +165,7 @@ class FieldMaker:
     def _choose_headings(self, clock: Clock) -> None:
         """Find the headings that fit the base in each cell, and its free turns; for a disc, all of them."""
         self._fits, self._can_turn = None, np.zeros(0, dtype=np.bool_)
-        if self.scene.kind < 0:
+        if turns_anywhere(self.scene.outline):
             return
         self._fits, self._can_turn = (np.zeros(self.states, dtype=np.bool_) for _ in range(2))
         stride = max(1, SLICE // self.classes)
@@ -268,7 +268,7 @@ class FieldMaker:
         here = self._find_touching(inside, row, reach, presser)
         last = dijkstra.find_last_moves(self.scene, self.points, self.fits, self.turns, close, self._moves,
                                                 self.macro, row, reach, presser)
-        if presser.kind >= 0:
+        if not turns_anywhere(presser.outline):
             last[self._find_touching(close, row, reach, presser)] = 0
         headings = np.arange(self.classes) if facing is None else np.flatnonzero(facing)
         layers = self.classes if facing is None else self.headings
@@ -284,7 +284,7 @@ class FieldMaker:
                        presser: Presser) -> NDArray[np.bool_]:
         """Return true where the body fits and touches a goal that the axis is near, shape (cells, classes)."""
         touching = np.ones((len(cells), self.classes), dtype=np.bool_)
-        if presser.kind >= 0:
+        if not turns_anywhere(presser.outline):
             touching = dijkstra.find_touching_cells(self.points, self.turns, cells, goal, reach, presser)
         return touching & self.get_fits(cells, self.classes)
 

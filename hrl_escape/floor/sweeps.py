@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import inspect
 import math
+from collections import namedtuple
 from collections.abc import Callable
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from hrl_escape.env import geometry
@@ -20,18 +22,20 @@ from hrl_escape.env.bases import Base, bases
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
-from hrl_escape.kernels import add_sources, kernel_part
+from hrl_escape.kernels import PART, add_sources, kernel_part
 
 
 def _compile(function: Callable) -> Any:
-    """Compile a pure function from its own source, with the functions of its module that it calls."""
-    parts = {name: part for name in function.__code__.co_names
-             if isinstance(part := function.__globals__.get(name), FunctionType)}
-    for name, part in parts.items():
-        if part not in _COMPILED:
-            _COMPILED[part] = _compile(part)
-        parts[name] = _COMPILED[part]
-    return kernel_part(FunctionType(function.__code__, {**function.__globals__, **parts}, function.__name__))
+    """Compile a pure function from its own source, with the functions of its module that it calls; each only once."""
+    if function not in _COMPILED:
+        parts = {name: _compile(part) for name in function.__code__.co_names
+                 if isinstance(part := function.__globals__.get(name), FunctionType)}
+        _COMPILED[function] = kernel_part(
+            FunctionType(function.__code__, {**function.__globals__, **parts}, function.__name__))
+    return _COMPILED[function]
+
+
+_COMPILED: dict[Callable, Any] = {}
 
 
 def compile_geometry() -> tuple[Any, Any]:
@@ -39,28 +43,50 @@ def compile_geometry() -> tuple[Any, Any]:
     return _compile(geometry.compute_first_contact), _compile(geometry.compute_distance)
 
 
-def _compile_choice(name: str) -> Any:
-    """Compile a function that every base defines, called with a base's number and size."""
-    chosen = None
-    for number, base in reversed(list(enumerate(_BASES))):
-        chosen = _choose(number, _compile(getattr(base, name)), chosen)
-    return chosen
+class Round(NamedTuple):
+    """The outline of a base that turns anywhere, or of a point: the distance from its axis decides."""
+
+    size: NDArray[np.float64]  # of the base, m
 
 
-def _choose(number: int, own: Any, others: Any) -> Any:
-    if others is None:
-        return kernel_part(lambda kind, *values: own(*values))
-
-    def choose(kind, *values):
-        return own(*values) if kind == number else others(kind, *values)
-
-    return kernel_part(choose)
+def _make_outline_type(name: str) -> Any:
+    """Make a tuple like `Round` for another base. The type of an outline decides which base's code kernels contain."""
+    outline = namedtuple(f"_Outline_{name}", Round._fields, module=__name__)  # its place, by which the cache names it
+    return globals().setdefault(outline.__name__, outline)
 
 
-_BASES = tuple(bases.load_all().values())
-add_sources(Path(inspect.getfile(base)) for base in _BASES)
-_COMPILED: dict[FunctionType, Any] = {}
+_BASES = bases.load_all()
+add_sources(Path(inspect.getfile(base)) for base in _BASES.values())
+_OUTLINES = {base: Round if base.turns_anywhere else _make_outline_type(name) for name, base in _BASES.items()}
 first_contact, measure_distance = compile_geometry()
+
+
+def _compile_choice(name: str) -> Any:
+    """Compile a function that every base defines, called with an outline, a pose and further values."""
+    own = {outline: getattr(base, name) for base, outline in _OUTLINES.items()}
+
+    def call(outline, *values):
+        return own[type(outline)](*values)
+
+    @overload(call, jit_options=PART)
+    def choose(outline, *values):
+        chosen = _compile(own[outline.instance_class])
+        return lambda outline, *values: chosen(*values)
+
+    return call
+
+
+def turns_anywhere(outline: Any) -> bool:
+    """Return whether the distance from its axis decides for an outline; a constant in compiled code."""
+    return isinstance(outline, Round)
+
+
+@overload(turns_anywhere, jit_options=PART)
+def _know_whether_it_turns_anywhere(outline):
+    known = outline.instance_class is Round
+    return lambda outline: known
+
+
 _base_contact, _base_gap = _compile_choice("contact"), _compile_choice("gap")
 _base_distance, _is_turn_blocked = _compile_choice("distance"), _compile_choice("blocks_turn")
 
@@ -68,28 +94,27 @@ _base_distance, _is_turn_blocked = _compile_choice("distance"), _compile_choice(
 class Presser(NamedTuple):
     """The thing that must touch a goal: a base at a heading, or a point."""
 
-    kind: int  # number of the base in `bases`; -1 for a point, and for bases whose axis distance decides
-    size: NDArray[np.float64]  # of the base, without clearance, m
+    outline: Any  # `Round` for a point, and for bases whose axis distance decides
     inner: float  # radius of the largest disc within it, m
     outer: float  # radius of the smallest disc round it, m
 
 
-POINT = Presser(-1, np.zeros(1), 0.0, 0.0)
+POINT = Presser(Round(np.zeros(1)), 0.0, 0.0)
 
 
-def number_base(base: Base) -> int:
-    """Number of a base in compiled code, -1 for one that turns anywhere; `UnsupportedError` for one added too late."""
+def make_outline(base: Base) -> Any:
+    """Return a base's size as compiled code takes it; `UnsupportedError` for a base that was added too late."""
     if base.turns_anywhere:
-        return -1
-    if type(base) not in _BASES:
+        return Round(np.array(base.size))
+    if type(base) not in _OUTLINES:
         raise UnsupportedError(f"planners do not know the base {type(base).__name__}: add it to "
                                "hrl_escape.env.bases.bases before they are imported")
-    return _BASES.index(type(base))
+    return _OUTLINES[type(base)](np.array(base.size))
 
 
 def make_presser(base: Base) -> Presser:
     """Make the presser of a base that presses with its outline."""
-    return Presser(number_base(base), np.array(base.size), base.inner_radius, base.outer_radius)
+    return Presser(make_outline(base), base.inner_radius, base.outer_radius)
 
 
 class SweepScene(NamedTuple):
@@ -99,8 +124,7 @@ class SweepScene(NamedTuple):
     door: int  # row of the shut exit door, or -1
     radius: float  # radius of the smallest disc that holds the base, plus contact skin, m
     inner: float  # radius of the largest disc within the base, m
-    kind: int  # number of the base in `bases`; -1 for one that turns anywhere
-    size: NDArray[np.float64]  # of the base, plus contact skin, m
+    outline: Any  # of the base, plus contact skin
     low: NDArray[np.float64]  # corner of both grids, shape (2,), m
     near_size: float  # side of a cell of the grid of neighbour lists, m
     near_shape: NDArray[np.int64]  # columns and rows of that grid, shape (2,)
@@ -153,9 +177,9 @@ def _lets_out(scene, item, x, y, turn, shape):
     """Return whether a base is in the shut exit door, which does not block a body inside it."""
     if item != scene.door:
         return False
-    if scene.kind < 0:
+    if turns_anywhere(scene.outline):
         return measure_distance(x, y, shape) < scene.radius - 1e-6
-    return _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < -1e-6
+    return _base_gap(scene.outline, x, y, turn[0], turn[1], scene.outline.size, shape) < -1e-6
 
 
 @kernel_part
@@ -169,10 +193,11 @@ def sweep_body(scene, x, y, turn, dx, dy, length):
         shape = get_shape(scene.solids[scene.near_items[k]])
         if _lets_out(scene, scene.near_items[k], x, y, turn, shape):
             continue
-        if scene.kind < 0:
+        if turns_anywhere(scene.outline):
             fraction = min(fraction, first_contact(x, y, dx, dy, scene.radius, shape))
         else:
-            fraction = min(fraction, _base_contact(scene.kind, x, y, turn[0], turn[1], scene.size, dx, dy, shape))
+            fraction = min(fraction, _base_contact(scene.outline, x, y, turn[0], turn[1], scene.outline.size, dx, dy,
+                                                   shape))
     return fraction
 
 
@@ -184,7 +209,7 @@ def does_fit(scene, x, y, turn):
     first, last = _list_near(scene, x, y)
     for k in range(first, last):
         shape = get_shape(scene.solids[scene.near_items[k]])
-        if _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < 0.0:
+        if _base_gap(scene.outline, x, y, turn[0], turn[1], scene.outline.size, shape) < 0.0:
             return False
     return True
 
@@ -192,13 +217,13 @@ def does_fit(scene, x, y, turn):
 @kernel_part
 def can_turn_body(scene, x, y, turn, to, angle):
     """Return whether a base can turn on the spot from one heading to another by an angle in rad."""
-    if scene.kind < 0 or is_clear_of_all(scene, x, y, 0.0):
+    if turns_anywhere(scene.outline) or is_clear_of_all(scene, x, y, 0.0):
         return True
     first, last = _list_near(scene, x, y)
     for k in range(first, last):
         shape = get_shape(scene.solids[scene.near_items[k]])
         if not _lets_out(scene, scene.near_items[k], x, y, turn, shape) and _is_turn_blocked(
-                scene.kind, x, y, turn[0], turn[1], to[0], to[1], angle, scene.size, shape):
+                scene.outline, x, y, turn[0], turn[1], to[0], to[1], angle, scene.outline.size, shape):
             return False
     return True
 
@@ -211,10 +236,10 @@ def is_touched(x, y, turn, presser, shape, reach):
     """
     if measure_distance(x, y, shape) > reach:
         return False
-    if presser.kind < 0:
+    if turns_anywhere(presser.outline):
         return True
     margin = reach - presser.outer + 1e-12
-    return _base_distance(presser.kind, x, y, turn[0], turn[1], presser.size, shape) <= margin
+    return _base_distance(presser.outline, x, y, turn[0], turn[1], presser.outline.size, shape) <= margin
 
 
 def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepScene:
@@ -234,8 +259,8 @@ def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepSc
     order = np.argsort(flat, kind="stable")
     starts = np.searchsorted(flat[order], np.arange(grid.cells + 1))
     return SweepScene(
-        collision.solids, door, collision.radius, collision.inner, number_base(collision.base),
-        np.array(collision.base.size), collision.low, size, np.array(grid.shape), starts.astype(np.int64),
+        collision.solids, door, collision.radius, collision.inner, make_outline(collision.base), collision.low, size,
+        np.array(grid.shape), starts.astype(np.int64),
         (np.concatenate(items) if items else np.zeros(0, dtype=np.int32))[order], collision.distance,
         collision.resolution, collision.slack,
     )

@@ -1,5 +1,6 @@
 """Sweeps bit for bit those of the kinematics; prices of fields against the near-exact reference."""
 
+import math
 import time
 
 import numpy as np
@@ -14,8 +15,19 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.floor import cost_to_go
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.floor.sweeps import measure_clearance, sweep_body
+from hrl_escape.kernels import kernel
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import ExitGoal, PressGoal
+
+
+@kernel
+def sweep(scene, x, y, dx, dy):
+    return sweep_body(scene, x, y, (1.0, 0.0), dx, dy, math.hypot(dx, dy))
+
+
+@kernel
+def find_clearance(scene, x, y):
+    return measure_clearance(scene, x, y)
 
 
 def make_maker(config, seed=0, *, door_shut=True, refinement=0):
@@ -60,7 +72,7 @@ def test_compiled_sweeps_are_bit_for_bit_those_of_the_kinematics(config, shut):
         length = rules.instance.robot.move_step * rng.uniform(0.1, 1.0)
         dx, dy = float(length * np.cos(angle)), float(length * np.sin(angle))
         fraction = rules.compute_free_fraction(x, y, dx, dy, puzzle)
-        assert sweep_body(maker.scene, x, y, (1.0, 0.0), dx, dy, float(np.hypot(dx, dy))) == fraction
+        assert sweep(maker.scene, x, y, dx, dy) == fraction
         cut += fraction < 1.0
     assert cut > 150
 
@@ -75,7 +87,7 @@ def test_a_shut_door_holds_nobody_who_stands_in_it():
         x, y = float(door.x + rng.uniform(-2, 2)), float(door.y + rng.uniform(-2, 2))
         dx, dy = rng.uniform(-0.7, 0.7, 2).tolist()
         fraction = rules.compute_free_fraction(x, y, dx, dy, puzzle)
-        assert sweep_body(shut.scene, x, y, (1.0, 0.0), dx, dy, float(np.hypot(dx, dy))) == fraction
+        assert sweep(shut.scene, x, y, dx, dy) == fraction
         held.append(rules.is_door_shut(x, y, puzzle))
     assert 200 < sum(held) < 1800
 
@@ -85,7 +97,7 @@ def test_representative_places_are_free_and_doorways_are_not_lost():
     config = RoomConfig(room=ShapeConfig(rooms=4, doorway_width=1.6), robot=RobotConfig(body_radius=0.5))
     rules, maker = make_maker(config, 2)
     assert maker.collision.are_free(maker.points[maker.standing]).all()
-    clearance = [measure_clearance(maker.scene, x, y) for x, y in maker.points.tolist()]
+    clearance = [find_clearance(maker.scene, x, y) for x, y in maker.points.tolist()]
     assert ((np.array(clearance) >= maker.collision.radius) == maker.standing).all()
     for target in range(len(rules.instance.targets)):
         field = maker.make_field(maker.find_seeds(*compute_goal_area(PressGoal(target), rules.instance)))

@@ -32,7 +32,7 @@ from hrl_escape.env.tensor_geometry import wrap
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
 from hrl_escape.floor.dijkstra import choose_headings, choose_points
-from hrl_escape.floor.sweeps import SweepScene, make_presser, make_sweep_scene
+from hrl_escape.floor.sweeps import SweepScene, make_presser, make_sweep_scene, turns_anywhere
 from hrl_escape.options.batched.aims import Aims, make_aims
 from hrl_escape.options.batched.value_iteration import (
     AT_GOAL,
@@ -182,7 +182,7 @@ class FieldGrid:
         goals = [PressGoal(number) for number in range(len(pressed))]
         targets = Targets(stack_footprints([target.footprint for target in pressed]),
                           np.array([instance.compute_press_reach(target) for target in pressed], dtype=np.float64),
-                          np.array([get_presser(goal, instance).kind >= 0 for goal in goals], dtype=np.bool_),
+                          np.array([not turns_anywhere(get_presser(goal, instance).outline) for goal in goals], dtype=np.bool_),
                           make_presser(instance.robot.base))
         moves = rules.actions.compute_moves(turns[:-1, 0], turns[:-1, 1])
         self._moves = trace_moves(scene, self._points, self._fits, turns, self.shape[1], self.low, self.size, moves,
@@ -196,7 +196,7 @@ class FieldGrid:
         A base that turns anywhere has (cells, 1), and no turns.
         """
         headings, cells = len(self._angles), len(self._points)
-        if scene.kind < 0:
+        if turns_anywhere(scene.outline):
             return self._standing[:, None], np.zeros((0, headings, cells), dtype=np.bool_)
         fits, can_turn = np.zeros((2, cells, headings), dtype=np.bool_)
         choose_headings(scene, self._points, self._standing, turns, turn_step, 0, cells, fits.ravel(),

@@ -55,17 +55,7 @@ class SearchQuery(NamedTuple):
     y: float  # y of the start, m
     heading: int  # heading of the start, in turn steps
     touched: np.uint64  # bits of the targets touched at the start
-    turns: NDArray[np.float64]  # this and the next ten are as in `Motions`
-    turn_step: float
-    moves: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    turn_steps: NDArray[np.int64]
-    stays: bool
-    presser: NDArray[np.float64]
-    targets: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    pressers: NDArray[np.bool_]
-    base: Presser
+    motions: Motions
     forbidden: np.uint64  # bits of the targets that must not be touched again
     keep_out: NDArray[np.float64]  # footprints that the body must not meet, shape (n, 7)
     closed: NDArray[np.float64]
@@ -114,18 +104,18 @@ class Frontier(NamedTuple):
 
 
 @kernel_part
-def find_touched(query, x, y, heading):
+def find_touched(motions, x, y, heading):
     """Bits of the targets that the presser touches at a pose, uint64."""
-    px, py = x + query.presser[heading, 0], y + query.presser[heading, 1]
+    px, py = x + motions.presser[heading, 0], y + motions.presser[heading, 1]
     touching = np.uint64(0)
-    for k in range(query.targets.shape[0]):
-        reach = query.reaches[k]
+    for k in range(motions.targets.shape[0]):
+        reach = motions.reaches[k]
         if reach >= 0.0:
-            around = reach + query.targets[k, 5] + query.targets[k, 6]
-            if abs(px - query.targets[k, 1]) <= around and abs(py - query.targets[k, 2]) <= around:
-                shape = get_shape(query.targets[k])
-                if query.pressers[k]:
-                    touches = is_touched(px, py, query.turns[heading], query.base, shape, reach)
+            around = reach + motions.targets[k, 5] + motions.targets[k, 6]
+            if abs(px - motions.targets[k, 1]) <= around and abs(py - motions.targets[k, 2]) <= around:
+                shape = get_shape(motions.targets[k])
+                if motions.pressers[k]:
+                    touches = is_touched(px, py, motions.turns[heading], motions.base, shape, reach)
                 else:
                     touches = measure_distance(px, py, shape) <= reach
                 if touches:
@@ -211,20 +201,20 @@ def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent,
 
 
 @kernel_part
-def move_base(scene, query, x, y, heading, action):
+def move_base(scene, motions, x, y, heading, action):
     """Displacement and new heading of the base after a translation or turn; the heading is -1 if it does not move."""
-    translations = query.moves.shape[1]
+    translations = motions.moves.shape[1]
     if action < translations:
-        dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
-        fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.lengths[action])
-        if fraction <= 1e-9 or (query.stays and fraction < 1.0):
+        dx, dy = motions.moves[heading, action, 0], motions.moves[heading, action, 1]
+        fraction = sweep_body(scene, x, y, motions.turns[heading], dx, dy, motions.lengths[action])
+        if fraction <= 1e-9 or (motions.stays and fraction < 1.0):
             return 0.0, 0.0, np.int64(-1)
         if fraction < 1.0:
             dx, dy = fraction * dx, fraction * dy
         return dx, dy, heading
-    turn, headings = query.turn_steps[action - translations], query.moves.shape[0]
+    turn, headings = motions.turn_steps[action - translations], motions.moves.shape[0]
     to_heading = (heading + headings + turn) % headings
-    if can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
+    if can_turn_body(scene, x, y, motions.turns[heading], motions.turns[to_heading], turn * motions.turn_step):
         return 0.0, 0.0, to_heading
     return 0.0, 0.0, np.int64(-1)
 
@@ -233,10 +223,10 @@ def move_base(scene, query, x, y, heading, action):
 def _expand(scene, query, frontier, node):
     x, y = frontier.places[node, 0], frontier.places[node, 1]
     heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
-    touching, translations = frontier.touching[node], query.moves.shape[1]
+    touching, translations = frontier.touching[node], query.motions.moves.shape[1]
     sector, layer = heading % query.bin_headings, (heading + query.shift) % query.layers
-    for action in range(translations + query.turn_steps.shape[0]):
-        dx, dy, to_heading = move_base(scene, query, x, y, heading, action)
+    for action in range(translations + query.motions.turn_steps.shape[0]):
+        dx, dy, to_heading = move_base(scene, query.motions, x, y, heading, action)
         if to_heading < 0:
             continue
         to_x, to_y, to_sector, to_layer = x + dx, y + dy, sector, layer
@@ -251,7 +241,7 @@ def _expand(scene, query, frontier, node):
                 continue
         else:
             to_sector, to_layer = to_heading % query.bin_headings, (to_heading + query.shift) % query.layers
-        now = find_touched(query, to_x, to_y, to_heading)
+        now = find_touched(query.motions, to_x, to_y, to_heading)
         begun = now & ~touching
         is_goal = False
         if query.target >= 0:
@@ -302,7 +292,7 @@ def expand_until_goal(scene, query, frontier, expansions):
     Returns:
         The goal node, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
     """
-    most = max(16, 2 * (query.moves.shape[1] + query.turn_steps.shape[0]))  # nodes of one expansion
+    most = max(16, 2 * (query.motions.moves.shape[1] + query.motions.turn_steps.shape[0]))  # nodes of one expansion
     if frontier.counts[0] == 0:
         none = np.int64(-1)  # with literals numba would compile `_add` again
         sector, layer = query.heading % query.bin_headings, (query.heading + query.shift) % query.layers
@@ -325,17 +315,7 @@ class JointQuery(NamedTuple):
     heading: int  # heading of the start, in turn steps
     touched: np.uint64  # bits of the targets touched at the start
     puzzle: int  # number of the start's puzzle state
-    turns: NDArray[np.float64]  # this and the next ten are as in `Motions`
-    turn_step: float
-    moves: NDArray[np.float64]
-    lengths: NDArray[np.float64]
-    turn_steps: NDArray[np.int64]
-    stays: bool
-    presser: NDArray[np.float64]
-    targets: NDArray[np.float64]
-    reaches: NDArray[np.float64]
-    pressers: NDArray[np.bool_]
-    base: Presser
+    motions: Motions
     presses: NDArray[np.int64]
     """Number of the puzzle state after a press of each target, shape (puzzles, n), int64; -1 without a field there."""
     solved: NDArray[np.bool_]  # True for the puzzle states with an open exit, bool, shape (puzzles,)
@@ -357,7 +337,7 @@ class JointQuery(NamedTuple):
 @kernel_part
 def _add_joint(query, frontier, x, y, heading, puzzle, touching, spent, parent, action, has_escaped):
     """Add a state to the frontier unless its bin holds one at most as expensive; an escape always."""
-    node, headings = frontier.counts[0], query.moves.shape[0]
+    node, headings = frontier.counts[0], query.motions.moves.shape[0]
     estimate, is_goal = spent, has_escaped
     if not has_escaped:
         i, j = int(math.floor((x - query.low[0]) / query.size)), int(math.floor((y - query.low[1]) / query.size))
@@ -394,18 +374,18 @@ def _add_joint(query, frontier, x, y, heading, puzzle, touching, spent, parent, 
 @kernel_part
 def _expand_joint(shut, opened, query, frontier, node):
     x, y = frontier.places[node, 0], frontier.places[node, 1]
-    headings = query.moves.shape[0]
+    headings = query.motions.moves.shape[0]
     heading, puzzle = np.int64(frontier.facts[node, 0]) % headings, np.int64(frontier.facts[node, 0]) // headings
     spent, touching = np.int64(frontier.facts[node, 1]) + 1, frontier.touching[node]
-    for action in range(query.moves.shape[1] + query.turn_steps.shape[0]):
+    for action in range(query.motions.moves.shape[1] + query.motions.turn_steps.shape[0]):
         if query.solved[puzzle]:
-            dx, dy, to_heading = move_base(opened, query, x, y, heading, action)
+            dx, dy, to_heading = move_base(opened, query.motions, x, y, heading, action)
         else:
-            dx, dy, to_heading = move_base(shut, query, x, y, heading, action)
+            dx, dy, to_heading = move_base(shut, query.motions, x, y, heading, action)
         if to_heading < 0:
             continue
         to_x, to_y, after = x + dx, y + dy, puzzle
-        now = find_touched(query, to_x, to_y, to_heading)
+        now = find_touched(query.motions, to_x, to_y, to_heading)
         begun = now & ~touching
         if begun:
             for target in range(query.presses.shape[1]):
@@ -433,7 +413,7 @@ def expand_until_escape(shut, opened, query, frontier, expansions):
     Returns:
         The node of the escape, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
     """
-    most = max(16, query.moves.shape[1] + query.turn_steps.shape[0])  # nodes of one expansion
+    most = max(16, query.motions.moves.shape[1] + query.motions.turn_steps.shape[0])  # nodes of one expansion
     if frontier.counts[0] == 0:
         none = np.int64(-1)  # with literals numba would compile `_add_joint` again
         _add_joint(query, frontier, query.x, query.y, np.int64(query.heading), np.int64(query.puzzle),

@@ -268,7 +268,7 @@ class JointSearch:
         return JointQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
             puzzle=puzzles.numbers[state.puzzle],
-            **(make_motions(rules, offset) if offset else self._legs.motions)._asdict(),
+            motions=make_motions(rules, offset) if offset else self._legs.motions,
             presses=puzzles.presses, solved=puzzles.solved,
             exit=np.array([area.x_min, area.x_max, area.y_min, area.y_max]), fields=puzzles.stack,
             field_of=puzzles.field_of, layers=maker.classes, shift=round(offset / rules.turn_step) % maker.classes,

@@ -28,7 +28,7 @@ from hrl_escape.env.poses import list_touched
 from hrl_escape.errors import PlanningReason, UnknownNameError
 from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.floor.cost_to_go import FieldMaker, Seeds, make_collision
-from hrl_escape.floor.sweeps import make_presser
+from hrl_escape.floor.sweeps import make_presser, turns_anywhere
 from hrl_escape.planning.areas import Area, compute_goal_area, find_headings, get_presser
 from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
@@ -115,7 +115,7 @@ class SearchProblem(NamedTuple):
 def make_motions(rules: Kinematics, heading_offset: float) -> a_star.Motions:
     """Make the motions at headings that are offset from the lattice, rad, with targets as the base presses them."""
     turns, room = np.array([rules.get_rotation(n, heading_offset) for n in range(rules.headings)]), rules.instance
-    pressers = [get_presser(PressGoal(i), room).kind >= 0 for i in range(len(room.targets))]
+    pressers = [not turns_anywhere(get_presser(PressGoal(i), room).outline) for i in range(len(room.targets))]
     return a_star.Motions(
         turns=turns, turn_step=rules.turn_step, moves=rules.actions.compute_moves(*turns.T),
         lengths=rules.actions.lengths, turn_steps=rules.actions.turn_steps, stays=room.dynamics.blocked == "stay",
@@ -226,7 +226,7 @@ class SearchRun:
         layers = len(field) // len(maker.points)
         return a_star.SearchQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
-            **motions._asdict(),
+            motions=motions,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],
             goal_reach=problem.area.reach + _ROUNDING, goal_headings=facing, field=field,
