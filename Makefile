@@ -22,6 +22,7 @@ help: ## show this list
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt -e '.[dev]'
+	hrl-escape warm  # no first plan waits for the compiler
 	touch $@
 
 demo: $(STAMP) ## compare six agents in a room with four buttons; ends with a link to the report

@@ -222,6 +222,15 @@ def test_every_module_with_kernels_is_a_source_of_the_caches_key():
     assert beneath <= set(kernels.SOURCES) and all((package / name).is_file() for name in kernels.SOURCES)
 
 
+def test_a_part_of_kernels_is_called_by_them_alone():
+    part = kernels.kernel_part(lambda x: x + 1)
+    with pytest.raises(TypeError):
+        part(1)
+    assert kernels.numba.njit(lambda x: 2 * part(x))(1) == 4
+    with pytest.raises(TypeError):
+        part(1)
+
+
 def test_kernels_lie_by_their_place_in_the_package_and_those_of_others_by_their_path(tmp_path):
     place = kernels.SourceLocator.get_suitable_cache_subpath
     assert place(str(Path(hrl_escape.__file__).parent / "floor/sweeps.py")) == "hrl_escape-floor"

@@ -20,7 +20,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.floor import cost_to_go, dijkstra
 from hrl_escape.floor.cost_to_go import FieldMaker
-from hrl_escape.floor.sweeps import is_clear_of_all, measure_clearance, sweep_body
+from hrl_escape.floor.sweeps import is_clear_of_all, measure_clearance, sweep_body, turns_anywhere
 from hrl_escape.kernels import kernel
 from hrl_escape.planning.areas import compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, PressGoal
@@ -186,7 +186,7 @@ def test_seeds_are_the_places_in_a_goal_and_those_a_move_away(robot, goal, facin
 
     def touches(x: float, y: float, rotation: tuple[float, float]) -> bool:
         near = compute_distance(x, y, area) <= reach
-        if presser.kind < 0:
+        if turns_anywhere(presser.outline):
             return near
         return near and base.distance(x, y, *rotation, base.size, area) <= reach - presser.outer + 1e-12
 

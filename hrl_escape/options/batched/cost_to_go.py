@@ -182,7 +182,8 @@ class FieldGrid:
         goals = [PressGoal(number) for number in range(len(pressed))]
         targets = Targets(stack_footprints([target.footprint for target in pressed]),
                           np.array([instance.compute_press_reach(target) for target in pressed], dtype=np.float64),
-                          np.array([not turns_anywhere(get_presser(goal, instance).outline) for goal in goals], dtype=np.bool_),
+                          np.array([not turns_anywhere(get_presser(goal, instance).outline) for goal in goals],
+                                   dtype=np.bool_),
                           make_presser(instance.robot.base))
         moves = rules.actions.compute_moves(turns[:-1, 0], turns[:-1, 1])
         self._moves = trace_moves(scene, self._points, self._fits, turns, self.shape[1], self.low, self.size, moves,
