@@ -18,7 +18,7 @@ from typing import Any
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 
-ESCAPES: tuple[tuple[str, dict[str, Any]], ...] = (
+WARMING: tuple[tuple[str, dict[str, Any]], ...] = (
     ("clutter", {}), ("arm-two-button", {}), ("paper-two-button", {"footprint": "rectangle"}))
 """Presets, and changes of their robots, whose escapes use every kernel of the planner."""
 
@@ -33,9 +33,9 @@ class WarmArgs:
 
 def run(args: WarmArgs) -> None:
     """Compile or load the kernels and print the time."""
-    began, jobs = time.perf_counter(), args.jobs or min(os.cpu_count() or 1, len(ESCAPES) + 1)
+    began, jobs = time.perf_counter(), args.jobs or min(os.cpu_count() or 1, len(WARMING) + 1)
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
-        done = [pool.submit(_make_batch), *(pool.submit(_escape, *each) for each in ESCAPES)]
+        done = [pool.submit(_make_batch), *(pool.submit(_escape, *each) for each in WARMING)]
         for each in done:
             each.result()
     print(f"kernels are ready after {time.perf_counter() - began:.0f} s")
