@@ -17,6 +17,7 @@ from typing import Any
 
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError
 
 WARMING: tuple[tuple[str, dict[str, Any]], ...] = (
     ("clutter", {}), ("arm-two-button", {}), ("paper-two-button", {"footprint": "rectangle"}))
@@ -33,6 +34,8 @@ class WarmArgs:
 
 def run(args: WarmArgs) -> None:
     """Compile or load the kernels and print the time."""
+    if args.jobs < 0:
+        raise ConfigError("jobs", args.jobs, "at least 0")
     began, jobs = time.perf_counter(), args.jobs or min(os.cpu_count() or 1, len(WARMING) + 1)
     with ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn")) as pool:
         done = [pool.submit(_make_batch), *(pool.submit(_escape, *each) for each in WARMING)]
