@@ -86,7 +86,7 @@ _COUNTED: dict[str, Any] = {"no_cfunc_wrapper": True}
 """Numba's options for code that is called from Python, and from C by nobody."""
 _UNCOUNTED: dict[str, Any] = {**_COUNTED, "_nrt": False}
 """Numba's options for code without its runtime, which allocates arrays and counts references to them."""
-PART: dict[str, Any] = {**_UNCOUNTED, "no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+PART: Any = {**_UNCOUNTED, "no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
 """Numba's options for code that only other compiled code calls."""
 
 
