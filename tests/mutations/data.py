@@ -20,7 +20,7 @@ MUTATIONS = [
     Mutation("the discount of a decision is that of one primitive less", "data/materialise.py::DataSet._make_decisions",
              "range(int(duration.max()) + 1)])", "range(-1, int(duration.max()))])",
              "data/test_materialise.py::test_a_run_of_options_and_its_replay_agree_to_the_bit"),
-    Mutation("the reward of the last primitive comes first", "data/materialise.py::_discount",
+    Mutation("the reward of the last primitive comes first", "data/materialise.py::discount_rewards",
              "back = duration[rows] - 1 - place", "back = place",
              "data/test_materialise.py"),
     Mutation("the state reached is that of the decision itself", "data/materialise.py::DataSet._make_decisions",
