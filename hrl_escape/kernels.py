@@ -171,15 +171,19 @@ def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = Non
         sources.update(strip_prose((package / name).read_bytes()))
     for file in more:
         sources.update(file.read_bytes())
-    folder = f"{__version__}-{sources.hexdigest()[:12]}"
+    return make_cache_folder(f"{__version__}-{sources.hexdigest()[:12]}")
+
+
+def make_cache_folder(name: str) -> Path:
+    """Return a folder of the package's cache on disk, made if it is missing; NUMBA_CACHE_DIR moves the cache."""
     chosen = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     for base in (Path(chosen).expanduser(), Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"):
         try:
-            (base / "hrl_escape" / folder).mkdir(parents=True, exist_ok=True)
+            (base / "hrl_escape" / name).mkdir(parents=True, exist_ok=True)
         except OSError:
             continue
-        if os.access(base / "hrl_escape" / folder, os.W_OK):
-            return base / "hrl_escape" / folder
+        if os.access(base / "hrl_escape" / name, os.W_OK):
+            return base / "hrl_escape" / name
     return Path(tempfile.mkdtemp(prefix="hrl_escape-"))
 
 

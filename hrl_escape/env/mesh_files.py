@@ -22,9 +22,6 @@ from hrl_escape.env.urdf import LARGEST_VISUAL, MESH_ENDINGS
 from hrl_escape.errors import FileReadError, FileWriteError, MissingPackageError
 from hrl_escape.files import check_files, read_bytes, temporary_folder
 
-_GEOMETRY = re.compile(rb"^[ \t]*(?:v|vt|vn|f)[ \t](?:\\\r?\n|[^\n])*", re.MULTILINE)
-"""Lines of an OBJ file with vertices and faces. Others name more files, such as `mtllib`, which would be opened."""
-
 
 class TriangleMesh(NamedTuple):
     """Triangles of a mesh in the file's own frame and unit. Do not write to the arrays."""
@@ -52,17 +49,25 @@ def load_mesh(path: str | Path) -> TriangleMesh:
 
 @lru_cache(maxsize=256)
 def _load(path: str, _time: int, _size: int) -> TriangleMesh:
+    vertices, triangles = _read_obj(path) if path.lower().endswith(".obj") else _read_by_assimp(path)
+    if not np.isfinite(vertices).all():
+        raise FileReadError(f"{path} is no mesh to plan in: a vertex is not a finite number")
+    if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise FileReadError(f"{path} is no mesh: it has {len(triangles)} triangles among {len(vertices)} vertices, or "
+                            "one that refers to a vertex that is not there")
+    return TriangleMesh(vertices, triangles)
+
+
+def _read_by_assimp(path: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     try:
         import coal  # loads slowly
     except ImportError as missing:
         raise MissingPackageError("pin", "Reading a mesh", missing) from missing
-    content, ending = read_bytes(path, "mesh", LARGEST_VISUAL), Path(path).suffix.lower()
-    if ending == ".obj":
-        content = b"\n".join(_GEOMETRY.findall(content))
     try:
-        with temporary_folder() as folder:
-            (folder / f"mesh{ending}").write_bytes(content)
-            mesh = coal.MeshLoader().load(str(folder / f"mesh{ending}"))
+        with temporary_folder() as folder:  # where a file that the mesh names is not found
+            copy = folder / f"mesh{Path(path).suffix.lower()}"
+            copy.write_bytes(read_bytes(path, "mesh", LARGEST_VISUAL))
+            mesh = coal.MeshLoader().load(str(copy))
     except FileWriteError:
         raise
     except (OSError, RuntimeError, ValueError) as error:
@@ -71,13 +76,34 @@ def _load(path: str, _time: int, _size: int) -> TriangleMesh:
                             ) from None
     vertices = np.asarray(mesh.vertices(), dtype=np.float64).reshape(-1, 3)
     corners = [[triangle[corner] for corner in range(3)] for triangle in map(mesh.tri_indices, range(mesh.num_tris))]
-    triangles = np.array(corners, dtype=np.int64).reshape(-1, 3)
-    if not np.isfinite(vertices).all():
-        raise FileReadError(f"{path} is no mesh to plan in: a vertex is not a finite number")
-    if not len(triangles) or triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise FileReadError(f"{path} is no mesh: it has {len(triangles)} triangles among {len(vertices)} vertices, or "
-                            "one that refers to a vertex that is not there")
-    return TriangleMesh(vertices, triangles)
+    return vertices, np.array(corners, dtype=np.int64).reshape(-1, 3)
+
+
+def _read_obj(path: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Read vertices and faces of a Wavefront OBJ file.
+
+    Polygons become fans of triangles; those without three different corners are left out. Assimp refuses numbers such
+    as `.3`, and drops faces that refer to no vertex.
+    """
+    vertices, triangles = list[list[float]](), list[tuple[int, int, int]]()
+    text = read_bytes(path, "mesh", LARGEST_VISUAL).decode("latin-1").replace("\\\n", " ").replace("\\\r\n", " ")
+    for number, line in enumerate(text.splitlines(), 1):
+        word, *rest = line.split("#")[0].split() or [""]
+        try:
+            if word == "v":
+                vertices.append([float(value) for value in rest[:3]])
+                if len(rest) < 3:
+                    raise ValueError
+            elif word == "f":
+                face = [int(corner.split("/")[0]) for corner in rest]
+                face = [corner - 1 if corner > 0 else len(vertices) + corner for corner in face]
+                if len(face) < 3 or min(face) < 0:
+                    raise ValueError
+                fan = ((face[0], face[k], face[k + 1]) for k in range(1, len(face) - 1))
+                triangles += [corners for corners in fan if len({*corners}) == 3]
+        except ValueError:
+            raise FileReadError(f"{path} is no OBJ mesh: line {number} is {line[:80]!r}") from None
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3), np.array(triangles, dtype=np.int64).reshape(-1, 3)
 
 
 def load_triangles(path: str | Path) -> NDArray[np.float64]:

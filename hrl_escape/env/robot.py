@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import math
+from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.bases.base import make_cylinder_link
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.placements import compute_roll_pitch_yaw, make_rotation, rotate_about
 from hrl_escape.env.urdf import load_urdf, parse_urdf, prepare_urdf, read_numbers
 from hrl_escape.errors import RobotError
 
 BASE_LINK = "mobile-base"
 _MOUNT_JOINT = "mobile-base-mount"
 _HAND = "hand"
-_MOVING = ("revolute", "continuous", "prismatic")
+MOVING = ("revolute", "continuous", "prismatic")
+"""Types of joints that move."""
 _LARGEST_LIMIT = 1000.0  # rad or m
 _SHIPPED = {  # kind: (file in pybullet_data, hand link)
     "kuka-iiwa": ("kuka_iiwa/model.urdf", "lbr_iiwa_link_7"),
@@ -155,7 +158,7 @@ class Robot:
             if joint.kind == "prismatic":
                 at[:3, 3] += at[:3, :3] @ joint.axis * values[joint.name]
             elif joint.kind != "fixed":
-                at[:3, :3] = at[:3, :3] @ _rotate_about(joint.axis, values[joint.name])
+                at[:3, :3] = at[:3, :3] @ rotate_about(joint.axis, values[joint.name])
         return np.array([*places, at[:3, 3]])
 
 
@@ -177,14 +180,6 @@ def sample_joint_steps(robot: Robot, count: int) -> NDArray[np.int64]:
         return np.random.default_rng(0).integers(low, high + 1, size=(count, len(sizes)))
     indices = np.unravel_index(np.arange(total), sizes) if sizes else ()
     return low + np.stack(indices, axis=-1) if sizes else np.zeros((1, 0), dtype=np.int64)
-
-
-def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.float64]:
-    """Rotation matrices (..., 3, 3) about a unit axis, by Rodrigues' formula."""
-    x, y, z = axis
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    sine, cosine = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
-    return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
 
 
 def _find_shipped(file: str) -> Path:
@@ -215,15 +210,76 @@ def make_robot(config: RobotConfig) -> Robot:
     return _assemble(config, _mount(config, arm), hand)
 
 
+def make_fixed_robot(arm: ElementTree.Element, hand: str = "", joints: Sequence[str] | None = None,
+                     home: Mapping[str, float] | None = None, placement: NDArray[np.float64] | None = None) -> Robot:
+    """Build a robot that stands still, from a URDF.
+
+    Args:
+        arm: the URDF, prepared by `prepare_urdf`.
+        hand: link whose origin is the hand; empty for the last link of the longest chain of joints.
+        joints: names of the planned joints, anywhere in the tree; None for all independent ones that move the hand.
+        home: positions of joints by name, rad or m. Joints that are not planned stay there. Others are at 0, or in
+            the middle of limits that leave out 0.
+        placement: of the URDF's root link in the world, (4, 4), or None for its origin.
+
+    Returns:
+        The robot; its root link `BASE_LINK` has no shape, and its frame is the world.
+
+    Raises:
+        RobotError: there is no such link or joint, no planned joint, or a position beyond the limits of its joint.
+    """
+    at = np.eye(4) if placement is None else placement
+    xyz, rpy = (" ".join(map(repr, numbers)) for numbers in (at[:3, 3].tolist(), compute_roll_pitch_yaw(at[:3, :3])))
+    whole = ElementTree.Element("robot", name=arm.get("name", "robot"))
+    whole.extend(arm.findall("material"))
+    ElementTree.SubElement(whole, "link", name=BASE_LINK)
+    whole.append(_stand(arm, xyz, rpy))
+    whole.extend([*arm.findall("link"), *arm.findall("joint")])
+    hand = hand or _find_longest(whole)
+    chain, everything = _find_chain(whole, hand)
+    free = {joint.name: joint for joint in everything if joint.kind in MOVING and joint.mimic is None}
+    names = [joint.name for joint in chain if joint.name in free] if joints is None else list(joints)
+    unknown = [name for name in (*names, *(home or {})) if name not in free]
+    if unknown:
+        raise RobotError(f"no independent moving joint {unknown[0]!r} in the URDF; valid are {', '.join(free)}")
+    if not names or len({*names}) < len(names):
+        raise RobotError(f"joints must name each planned joint once, got {names}")
+    for name, value in (home or {}).items():
+        low, high = (-math.inf, math.inf) if free[name].kind == "continuous" else (free[name].low, free[name].high)
+        if not (math.isfinite(value) and low - 1e-9 <= value <= high + 1e-9):
+            raise RobotError(f"home: joint {name!r} must be from {low:g} to {high:g}, got {value!r}")
+    return _make_robot(whole, hand, chain, everything, [free[name] for name in names], RobotConfig().joint_step_deg,
+                       home or {})
+
+
+def _find_longest(whole: ElementTree.Element) -> str:
+    """Return the first link that as many independent joints move as any."""
+    above = {child.get("link", ""): joint for joint in whole.findall("joint")
+             if (child := joint.find("child")) is not None}
+
+    def count(link: str) -> int:
+        total = 0
+        for _ in above:
+            if link not in above:
+                break
+            joint = above[link]
+            total += joint.get("type") in MOVING and joint.find("mimic") is None
+            parent = joint.find("parent")
+            link = "" if parent is None else parent.get("link", "")
+        return total
+
+    return max((link.get("name", "") for link in whole.findall("link")), key=count)
+
+
 def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str = "",
-           limit: float = 0.0) -> ElementTree.Element:
+           limit: float = 0.0, rpy: str = "0 0 0") -> ElementTree.Element:
     inside = ""
     if axis:
         limits = f'lower="{-limit!r}" upper="{limit!r}" effort="500" velocity="10"'
         inside = f'<axis xyz="{axis}"/><limit {limits}/>'
     return ElementTree.fromstring(
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}" rpy="0 0 0"/>{inside}</joint>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/>{inside}</joint>'
     )
 
 
@@ -253,30 +309,32 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
     for material in arm.findall("material"):
         whole.append(material)
     whole.append(config.base.make_link(BASE_LINK, 50.0, config.body_height))
-    links = {link.get("name", "") for link in arm.findall("link")}
-    if links:
-        children = {child.get("link") for child in arm.iterfind("joint/child")}
-        roots = sorted(links - children)
-        if len(roots) != 1:
-            raise RobotError(f"the arm's URDF must have one root link, got {roots or 'a circle of joints'}")
-        taken = [name for name in (BASE_LINK, _MOUNT_JOINT) if arm.find(f"*[@name='{name}']") is not None]
-        if taken:
-            raise RobotError(f"the arm's URDF uses the name {taken[0]!r}, which the mobile base uses. Rename it")
-        place = f"{config.mount_forward!r} 0 {config.body_height!r}"
-        whole.append(_joint(_MOUNT_JOINT, "fixed", BASE_LINK, roots[0], place))
+    if arm.find("link") is not None:
+        whole.append(_stand(arm, f"{config.mount_forward!r} 0 {config.body_height!r}"))
         whole.extend([*arm.findall("link"), *arm.findall("joint")])
     return whole
+
+
+def _stand(arm: ElementTree.Element, xyz: str, rpy: str = "0 0 0") -> ElementTree.Element:
+    """Make the joint by which an arm stands on the base."""
+    links = {link.get("name", "") for link in arm.findall("link")}
+    children = {child.get("link") for child in arm.iterfind("joint/child")}
+    roots = sorted(links - children)
+    if len(roots) != 1:
+        raise RobotError(f"the arm's URDF must have one root link, got {roots or 'a circle of joints'}")
+    taken = [name for name in (BASE_LINK, _MOUNT_JOINT) if arm.find(f"*[@name='{name}']") is not None]
+    if taken:
+        raise RobotError(f"the arm's URDF uses the name {taken[0]!r}, which the mobile base uses. Rename it")
+    return _joint(_MOUNT_JOINT, "fixed", BASE_LINK, roots[0], xyz, rpy=rpy)
 
 
 def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
     """Return a joint and the name of its parent link."""
     name, kind = element.get("name", ""), element.get("type", "fixed")
-    if kind not in ("fixed", *_MOVING):
-        raise RobotError(f"joint {name!r} of the URDF is {kind!r}; valid are fixed, {', '.join(_MOVING)}")
+    if kind not in ("fixed", *MOVING):
+        raise RobotError(f"joint {name!r} of the URDF is {kind!r}; valid are fixed, {', '.join(MOVING)}")
     placement = np.eye(4)
-    roll, pitch, yaw = _read_vector(element, "origin", "rpy", "0 0 0")
-    for axis, angle in zip(np.eye(3), (roll, pitch, yaw), strict=True):
-        placement[:3, :3] = _rotate_about(axis, angle) @ placement[:3, :3]
+    placement[:3, :3] = make_rotation(*_read_vector(element, "origin", "rpy", "0 0 0").tolist())
     placement[:3, 3] = _read_vector(element, "origin", "xyz", "0 0 0")
     axis = _read_vector(element, "axis", "xyz", "1 0 0")
     if kind != "fixed":
@@ -304,7 +362,7 @@ def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
 
 def _read_mimic(element: ElementTree.Element) -> tuple[str, float, float] | None:
     mimic = element.find("mimic")
-    if mimic is None or element.get("type", "fixed") not in _MOVING:
+    if mimic is None or element.get("type", "fixed") not in MOVING:
         return None
     name = element.get("name", "")
     factor, offset = (_read_numbers(name, mimic.get(key, default), 1)[0]
@@ -355,13 +413,18 @@ def _find_chain(whole: ElementTree.Element, hand: str) -> tuple[list[_Joint], li
 
 def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Robot:
     chain, joints = _find_chain(whole, hand)
-    moving = [joint for joint in chain if joint.kind in _MOVING and joint.mimic is None]
+    moving = [joint for joint in chain if joint.kind in MOVING and joint.mimic is None]
     if len(moving) < config.joints:
         raise RobotError(f"robot.joints = {config.joints}: only {len(moving)} independent joints move {hand!r}")
-    used = moving[: config.joints]
-    step = math.radians(config.joint_step_deg)
-    rest = {j.name: 0.0 if j.low <= 0.0 <= j.high else (j.low + j.high) / 2
-            for j in joints if j.kind in _MOVING and j.mimic is None}
+    return _make_robot(whole, hand, chain, joints, moving[: config.joints], config.joint_step_deg, {})
+
+
+def _make_robot(whole: ElementTree.Element, hand: str, chain: list[_Joint], joints: list[_Joint], used: list[_Joint],
+                step_deg: float, start: Mapping[str, float]) -> Robot:
+    """Make the robot of a URDF whose root is `BASE_LINK`; `start` gives positions of joints that differ from 0."""
+    step = math.radians(step_deg)
+    rest = {j.name: start.get(j.name, 0.0 if j.low <= 0.0 <= j.high else (j.low + j.high) / 2)
+            for j in joints if j.kind in MOVING and j.mimic is None}
     home = tuple(rest.pop(joint.name) for joint in used)
     mimics = dict[str, tuple[int, float, float]]()
     for joint in joints:
@@ -398,6 +461,6 @@ def _trace_mimic(joint: _Joint, joints: dict[str, _Joint]) -> tuple[str, float, 
         if mimic is None:
             return name, factor, offset
         name, factor, offset = mimic[0], factor * mimic[1], factor * mimic[2] + offset
-        if name not in joints or joints[name].kind not in _MOVING:
+        if name not in joints or joints[name].kind not in MOVING:
             raise RobotError(f"joint {joint.name!r} of the URDF mimics {name!r}, which is no moving joint of it")
     raise RobotError(f"joint {joint.name!r} of the URDF mimics itself: its <mimic> elements form a circle")

@@ -1,6 +1,8 @@
 from .arm.arm_planner import ArmPlanner
+from .arm.obstacles import Obstacle
 from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
+from .fixed_arm import Arm
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.limits import MotionLimits
 from .motion.sampled import MotionSampler
@@ -18,6 +20,7 @@ from .task_motion import TaskMotionPlanner
 from .world import World
 
 __all__ = [
+    "Arm",
     "ArmPlanner",
     "BestKnown",
     "Execution",
@@ -27,6 +30,7 @@ __all__ = [
     "MotionLimits",
     "MotionSampler",
     "Navigator",
+    "Obstacle",
     "PathProblem",
     "PathResult",
     "Plan",

@@ -21,6 +21,7 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target, check_room
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.placements import compute_roll_pitch_yaw
 from hrl_escape.env.puzzles.mixins import Propped, get_mixin
 from hrl_escape.env.robot import BASE_LINK, make_robot
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
@@ -317,7 +318,7 @@ def give_to_hand(robot: RobotConfig, held: HeldObject) -> RobotConfig:
     mass = DENSITY * volume * solid.height
     inertia = mass * (solid.half_x**2 + solid.half_y**2 + (solid.height / 2) ** 2) / 3
     x, y, z = held.placement[:3, 3].tolist()
-    roll, pitch, yaw = _compute_angles(held.placement[:3, :3])
+    roll, pitch, yaw = compute_roll_pitch_yaw(held.placement[:3, :3])
     whole.append(ElementTree.fromstring(
         f'<link name="{name}"><inertial><mass value="{mass!r}"/><inertia ixx="{inertia!r}" iyy="{inertia!r}" '
         f'izz="{inertia!r}" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry>{shape}</geometry></visual>'
@@ -337,11 +338,3 @@ def _place_hand(rules: Kinematics, state: RoomState) -> NDArray[np.float64]:
     base = np.eye(4)
     base[:2, :2], base[:3, 3] = [[cos, -sin], [sin, cos]], (state.x, state.y, state.z)
     return base @ ArmKinematics(rules.robot).compute_placement(rules.get_angles(state))
-
-
-def _compute_angles(turn: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Return roll, pitch and yaw of a rotation in URDF's convention (R = Rz Ry Rx), rad."""
-    pitch = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
-    if math.cos(pitch) < 1e-9:
-        return 0.0, pitch, math.atan2(-turn[0, 1], turn[1, 1])
-    return math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])

@@ -8,7 +8,6 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import coal
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,7 +21,8 @@ class PairBounds(NamedTuple):
 
     first: NDArray[np.int64]  # (pairs,), numbers of geometry objects
     second: NDArray[np.int64]
-    centres: list[NDArray[np.float64]]  # of the objects' spheres, in their own frames, m
+    centres: list[NDArray[np.float64]]  # of the robot's objects' spheres, in their own frames, m
+    places: NDArray[np.float64]  # (objects, 3), of all spheres; those of solids are fixed, m
     radii: NDArray[np.float64]  # (pairs,), of both spheres together, m
     speeds: NDArray[np.float64]  # (pairs, 3 + joints), metres for each unit of x, y, heading and joints
     on_solid: NDArray[np.bool_]  # (pairs,)
@@ -32,8 +32,9 @@ class PairBounds(NamedTuple):
 
     def bound_distances(self, placements: Any) -> NDArray[np.float64]:
         """Return lower bounds of the distances of the pairs, (pairs,), m, at placements of the objects."""
-        centres = np.array([placements[k].act(centre) for k, centre in enumerate(self.centres)])
-        between = centres[self.first] - centres[self.second]
+        places = self.places
+        places[: len(self.centres)] = [placements[k].act(centre) for k, centre in enumerate(self.centres)]
+        between = places[self.first] - places[self.second]
         away = np.sqrt((between * between).sum(axis=1)) - self.radii
         local = np.abs(between[self.on_solid][:, None, :] @ self.turns)[:, 0]
         outside = np.maximum(local - self.halves, 0.0)
@@ -54,11 +55,14 @@ class MotionBounds:
         return moved | {self._model.getJointId(name): (number, factor)
                         for name, (number, factor, _) in self._robot.mimics.items()}
 
+    def list_moving(self, i: int) -> set[int]:
+        """Return the joints above a geometry object that move with a planned joint."""
+        return {joint for joint in self._model.supports[self._geometry.geometryObjects[i].parentJoint]
+                if joint in self.moved}
+
     def is_rigid(self, i: int, j: int) -> bool:
         """Return whether no planned joint changes how two geometry objects are placed to each other."""
-        above = [{joint for joint in self._model.supports[self._geometry.geometryObjects[k].parentJoint]
-                  if joint in self.moved} for k in (i, j)]
-        return above[0] == above[1]
+        return self.list_moving(i) == self.list_moving(j)
 
     @cached_property
     def sweeps(self) -> NDArray[np.float64]:
@@ -97,8 +101,11 @@ class MotionBounds:
                     speeds[number, 3 + planned] += abs(factor) * reach
         on_solid = np.array([items[j].parentJoint == 0 for _, j in ends], dtype=bool)
         fixed = [items[j] for (_, j), is_fixed in zip(ends, on_solid, strict=True) if is_fixed]
-        return PairBounds(first, second, [item.geometry.aabb_center for item in items], radii[first] + radii[second],
-                          speeds, on_solid, np.array([item.placement.rotation for item in fixed]).reshape(-1, 3, 3),
+        centres = [np.array(item.geometry.aabb_center) for item in items]
+        places = np.array([item.placement.act(centre) for item, centre in zip(items, centres, strict=True)])
+        own = sum(item.parentJoint > 0 for item in items)  # the robot's come first
+        return PairBounds(first, second, centres[:own], places, radii[first] + radii[second], speeds, on_solid,
+                          np.array([item.placement.rotation for item in fixed]).reshape(-1, 3, 3),
                           np.array([_measure_half(item.geometry) for item in fixed]).reshape(-1, 3),
                           radii[first[on_solid]])
 
@@ -123,7 +130,6 @@ class MotionBounds:
 
 
 def _measure_half(shape: Any) -> NDArray[np.float64]:
-    """Half sizes of the box around a solid in its own frame, m."""
-    if isinstance(shape, coal.Box):
-        return np.asarray(shape.halfSide)
-    return np.array([shape.radius, shape.radius, shape.halfLength])
+    """Half sizes of the box around a solid in its own frame, m, centred at `aabb_center`."""
+    box = shape.aabb_local
+    return (np.asarray(box.max_) - np.asarray(box.min_)) / 2.0

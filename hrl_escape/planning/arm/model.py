@@ -10,6 +10,7 @@ axis, x ahead, z up; metres, radians.
 from __future__ import annotations
 
 import copy
+import dataclasses
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -32,26 +33,32 @@ except ImportError as missing:
     raise MissingPackageError("pin", "Planning for an arm", missing) from missing
 
 from hrl_escape.planning.arm.bounds import MotionBounds  # needs coal
-from hrl_escape.planning.arm.shapes import make_shape
+from hrl_escape.planning.arm.obstacles import Obstacle
+from hrl_escape.planning.arm.shapes import make_shape, make_surface
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
 TOUCHING = 1e-3
 """Links that are nearer than this at home may touch, m: hulls are larger than the links."""
+REFUSED = 0.75
+"""Share of its margin below which a pair of bodies ends a motion."""
 FEW_SOLIDS, MOST_TILES = 64, 256
 """Solids up to which all are tested, and tiles of the floor whose solids are kept beyond that."""
 
 
 class ArmKinematics:
-    """Kinematics of one robot, from Pinocchio, whose `model` has the base fixed at the origin."""
+    """Kinematics of one robot, from Pinocchio, whose `model` has the base fixed at the origin.
 
-    def __init__(self, robot: Robot) -> None:
+    The hand is the robot's, or another link.
+    """
+
+    def __init__(self, robot: Robot, link: str = "") -> None:
         self.robot = robot
         self.model = pinocchio.buildModelFromXML(robot.urdf)
         self._data = self.model.createData()
-        self._frame = self.model.getFrameId(robot.hand_link, pinocchio.BODY)
+        self._frame = self.model.getFrameId(link or robot.hand_link, pinocchio.BODY)
         self._used = [self.model.getJointId(name) for name in robot.joint_names]
-        self._rest = _make_rest(self.model, robot)
+        self._make_q = _JointMap(self.model, robot).make_q
 
     def get_ranges(self, joint_offsets: tuple[float, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Fewest and most steps of each joint within its limits, given its offset from the lattice."""
@@ -106,6 +113,13 @@ class ArmKinematics:
                     raise UnsupportedError(f"joint {name!r} mimics {source!r} across another joint: primitives of this "
                                            "arm cannot be planned. ArmPlanner plans it in joint angles")
 
+    @cached_property
+    def moves_hand(self) -> NDArray[np.bool_]:
+        """Planned joints that move the hand, (joints,)."""
+        above = {self.model.names[joint] for joint in self.model.supports[self.model.frames[self._frame].parentJoint]}
+        followed = {number for name, (number, _, _) in self.robot.mimics.items() if name in above}
+        return np.array([name in above or number in followed for number, name in enumerate(self.robot.joint_names)])
+
     def compute_placement(self, angles: Sequence[float]) -> NDArray[np.float64]:
         """Placement of the hand's link in the base frame at given joint angles (rad), shape (4, 4)."""
         pinocchio.framesForwardKinematics(self.model, self._data, self._make_q(angles))
@@ -133,9 +147,6 @@ class ArmKinematics:
         for name, (i, factor, _) in self.robot.mimics.items():
             rates[self.model.joints[self.model.getJointId(name)].idx_v, i] = factor
         return rates
-
-    def _make_q(self, angles: Sequence[float]) -> NDArray[np.float64]:
-        return _make_configuration(self.model, self._rest, self._used, self.robot, angles)
 
     def solve_ik(self, target: ArrayLike, seed: Sequence[float], tolerance: float) -> NDArray[np.float64] | None:
         """Joint angles that bring the hand to a position or a pose, by the Levenberg-Marquardt method (Sugihara 2011).
@@ -181,8 +192,31 @@ class ArmKinematics:
         return np.concatenate([wanted[:3, 3] - hand.translation, turn]), jacobian
 
 
-Key: TypeAlias = "str | Solid"
-"""A thing that collides: the name of a link's shape, `floor`, or a solid."""
+Key: TypeAlias = "str | Solid | Obstacle"
+"""A thing that collides: the name of a link's shape, `floor`, a solid or an obstacle."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PairRules:
+    """Rules of the pairs of bodies that are tested.
+
+    Attributes:
+        srdf: text of an SRDF, or None.
+        floor: height of the floor, m, or None for no floor.
+        stands: the base never moves. Links that no planned joint moves are then not tested against solids.
+        held: links that the hand holds. They are tested, with links that touch them at home, too.
+        allowed: pairs of names of links and obstacles that may touch.
+    """
+
+    srdf: str | None = None
+    floor: float | None = 0.0
+    stands: bool = False
+    held: frozenset[str] = frozenset()
+    allowed: frozenset[frozenset[str]] = frozenset()
+
+
+IN_ROOM = PairRules()
+"""Rules of a robot that drives on a floor."""
 
 
 class ArmCollisions:
@@ -191,55 +225,70 @@ class ArmCollisions:
     The base against solids is left to `CollisionMap`. Three kinds of pairs are never tested: links joined to each
     other, links whose relative placement no planned joint changes, and pairs that an SRDF allows. Without an SRDF, or
     with one that allows none, pairs are left out that are nearer than `TOUCHING` with all joints at home, such as the
-    arm's foot and the base, as is the floor for a link that rests on it at home. The hand is the sphere that presses,
-    added to the shape of its link.
+    arm's foot and the base, as is the floor for a link of a driving robot that rests on it at home. The hand is the
+    sphere that presses, added to the shape of its link.
 
     Args:
         robot: the robot.
-        hand_radius: radius of the hand, m.
-        solids: what stands in the room.
+        hand_radius: radius of the hand, m; 0 for none.
+        solids: solids of the room, or obstacles.
         margin: what is nearer than this collides, m.
-        srdf: text of an SRDF, or None.
+        rules: rules of the tested pairs.
     """
 
-    def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0,
-                 srdf: str | None = None, *, _links: Any = None) -> None:
+    def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid | Obstacle], margin: float = 0.0,
+                 rules: PairRules = IN_ROOM, *, _links: Any = None) -> None:
         self.robot = robot
         self._model = pinocchio.buildModelFromXML(robot.urdf, pinocchio.JointModelPlanar())
         self._data = self._model.createData()
-        self._used = [self._model.getJointId(name) for name in robot.joint_names]
-        self._rest = _make_rest(self._model, robot)
+        self._joints = _JointMap(self._model, robot)
         links = self._make_links(hand_radius) if _links is None else _links
-        self._remake = partial(ArmCollisions, robot, hand_radius, srdf=srdf, _links=links)
+        self._remake = partial(ArmCollisions, robot, hand_radius, rules=rules, _links=links)
         self._solids, self._near = tuple(solids), dict[tuple[int, int], ArmCollisions]()
+        self._rules = rules
         geometry = links.copy()
         self._bounds = MotionBounds(self._model, geometry, robot)
         own = len(geometry.geometryObjects)
         self._keys: list[Key] = [item.name for item in geometry.geometryObjects]
         base = self._model.getFrameId(BASE_LINK, pinocchio.BODY)
         for number, solid in enumerate(solids):
-            place = f"{solid.role} at ({solid.x:.4g}, {solid.y:.4g}), number {number}"
-            geometry.addGeometryObject(_make_collision_object(place, solid))
+            geometry.addGeometryObject(_make_collision_object(number, solid))
             self._keys.append(solid)
-        for i, item in enumerate(geometry.geometryObjects[:own].tolist()):
-            if item.parentFrame == base:
-                continue
+        tested = [i for i in range(own) if geometry.geometryObjects[i].parentFrame != base
+                  and (self._bounds.list_moving(i) or not rules.stands)]
+        for i in tested:
             for other in range(own, len(geometry.geometryObjects)):
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, other))
         apart = [(i, j) for i in range(own) for j in range(i + 1, own)
                  if not self._is_joined(geometry, i, j) and not self._bounds.is_rigid(i, j)]
-        floor = geometry.addGeometryObject(_make_floor())
-        self._keys.append("floor")
-        resting = [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]
-        if srdf is None or "<disable_collisions" not in srdf:
+        held = [pair for pair in apart if any(self._name_link(geometry, k) in rules.held for k in pair)]
+        apart = [pair for pair in apart if pair not in held]
+        if rules.srdf is None or "<disable_collisions" not in rules.srdf:
             self._keep_clear(geometry, apart)
         else:
-            for pair in apart:
-                geometry.addCollisionPair(pinocchio.CollisionPair(*pair))
-            pinocchio.removeCollisionPairsFromXML(self._model, geometry, srdf)
-        self._keep_clear(geometry, resting)
+            self._add_pairs(geometry, apart)
+            pinocchio.removeCollisionPairsFromXML(self._model, geometry, rules.srdf)
+        self._add_pairs(geometry, held)
+        if rules.floor is not None:
+            floor = geometry.addGeometryObject(_make_floor(rules.floor))
+            self._keys.append("floor")
+            resting = [(i, floor) for i in tested]
+            self._add_pairs(geometry, resting) if rules.stands else self._keep_clear(geometry, resting)
+        for pair in geometry.collisionPairs.tolist() if rules.allowed else ():
+            names = [item.name if item.parentJoint == 0 else self._name_link(geometry, k)
+                     for k in (pair.first, pair.second) for item in (geometry.geometryObjects[k],)]
+            if frozenset(names) in rules.allowed:
+                geometry.removeCollisionPair(pair)
         self._geometry = geometry  # the manager refers to it
         self._set_margins(margin, {})
+
+    def _name_link(self, geometry: Any, number: int) -> str:
+        return self._model.frames[geometry.geometryObjects[number].parentFrame].name
+
+    @staticmethod
+    def _add_pairs(geometry: Any, pairs: list[tuple[int, int]]) -> None:
+        for pair in pairs:
+            geometry.addCollisionPair(pinocchio.CollisionPair(*pair))
 
     def with_margins(self, margin: float, margins: Mapping[frozenset[Key], float]) -> ArmCollisions:
         """Return the same test with another margin, m, and with the margins of some pairs; shapes are shared."""
@@ -279,15 +328,16 @@ class ArmCollisions:
                 place = frame.placement * _read_origin(element)
                 links.addGeometryObject(pinocchio.GeometryObject(f"{name}_{count}", frame.parentJoint, number, place,
                                                                  make_shape(geometry, name)))
-        number = self._model.getFrameId(self.robot.hand_link, pinocchio.BODY)
-        hand = self._model.frames[number]
-        links.addGeometryObject(
-            pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
+        if hand_radius > 0.0:
+            number = self._model.getFrameId(self.robot.hand_link, pinocchio.BODY)
+            hand = self._model.frames[number]
+            links.addGeometryObject(
+                pinocchio.GeometryObject("hand", hand.parentJoint, number, hand.placement, coal.Sphere(hand_radius)))
         return links
 
     def _find_near(self, x: float, y: float) -> ArmCollisions:
         """The same test against the solids that can be reached from a tile of the floor, for a test moves them all."""
-        if len(self._solids) <= FEW_SOLIDS:
+        if len(self._solids) <= FEW_SOLIDS or self._rules.stands:
             return self
         reach = float(self.sweeps[-1])  # farthest that any point of the robot is from the base's axis, m
         side = reach / 2
@@ -325,7 +375,7 @@ class ArmCollisions:
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, j))
 
     def _make_q(self, x: float, y: float, heading: float, angles: Sequence[float]) -> NDArray[np.float64]:
-        q = _make_configuration(self._model, self._rest, self._used, self.robot, angles)
+        q = self._joints.make_q(angles)
         q[:4] = x, y, math.cos(heading), math.sin(heading)
         return q
 
@@ -357,7 +407,7 @@ class ArmCollisions:
     def list_own_pairs(self) -> set[frozenset[Key]]:
         """Return the tested pairs of links of the robot."""
         return {pair for pair in map(self._name_pair, self._geometry.collisionPairs)
-                if not any(isinstance(key, Solid) or key == "floor" for key in pair)}
+                if not any(not isinstance(key, str) or key == "floor" for key in pair)}
 
     def advance(self, x: float, y: float, heading: float, angles: Sequence[float], change: NDArray[np.float64],
                 most: float) -> float:
@@ -376,7 +426,8 @@ class ArmCollisions:
             most: largest share of the motion that is asked for.
 
         Returns:
-            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than its margin.
+            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than `REFUSED`
+            of its margin.
         """
         return self._find_near(x, y)._advance(self._make_q(x, y, heading, angles), np.abs(change), most)
 
@@ -389,7 +440,7 @@ class ArmCollisions:
             if share[number] >= most:
                 break
             exact = pinocchio.computeDistance(self._geometry, data, number).min_distance
-            if exact < margins[number]:
+            if exact < REFUSED * margins[number]:
                 return -1.0
             most = min(most, (exact - 0.5 * margins[number]) / motion[number])
         return most
@@ -402,8 +453,9 @@ class ArmCollisions:
         """Describe a pair in words, such as `arm-3 to obstacle at (1, 2)`."""
         links = {item.name: self._model.frames[item.parentFrame].name
                  for item in self._geometry.geometryObjects.tolist() if item.parentJoint}
-        words = [f"{key.role} at ({key.x:.4g}, {key.y:.4g})" if isinstance(key, Solid) else links.get(key, key)
-                 for key in sorted(pair, key=lambda key: (isinstance(key, Solid) or key == "floor", str(key)))]
+        ordered = sorted(pair, key=lambda key: (not isinstance(key, str) or key == "floor", str(key)))
+        words = [f"{key.role} at ({key.x:.4g}, {key.y:.4g})" if isinstance(key, Solid)
+                 else key.name if isinstance(key, Obstacle) else links.get(key, key) for key in ordered]
         return " to ".join(words)
 
     def list_collisions(self, x: float, y: float, heading: float, angles: Sequence[float]) -> list[str]:
@@ -434,27 +486,32 @@ class ArmCollisions:
         return [(first, second, reason) for (first, second), reason in allowed.items()]
 
 
-def _make_rest(model: Any, robot: Robot) -> NDArray[np.float64]:
-    q = pinocchio.neutral(model)
-    for name, angle in robot.rest.items():
-        _set_joint(model, q, model.getJointId(name), angle)
-    return q
+class _JointMap:
+    """Configuration vectors of a model for angles of the planned joints."""
 
+    def __init__(self, model: Any, robot: Robot) -> None:
+        self._rest = pinocchio.neutral(model)
+        for name, angle in robot.rest.items():
+            kind = model.joints[model.getJointId(name)]
+            self._rest[kind.idx_q : kind.idx_q + kind.nq] = angle if kind.nq == 1 else (math.cos(angle),
+                                                                                        math.sin(angle))
+        moving = {name: (number, 1.0, 0.0) for number, name in enumerate(robot.joint_names)} | robot.mimics
+        rows = [(model.joints[model.getJointId(name)], row) for name, row in moving.items()]
+        plain, turning = ([(kind.idx_q, *row) for kind, row in rows if kind.nq == size] for size in (1, 2))
+        self._plain, self._turning = (tuple(np.array(list(column)) for column in zip(*each, strict=True))
+                                      for each in (plain, turning))
 
-def _make_configuration(model: Any, rest: NDArray[np.float64], used: list[int], robot: Robot,
-                        angles: Sequence[float]) -> NDArray[np.float64]:
-    """Return the configuration vector of a model for angles of the planned joints, rad."""
-    q = rest.copy()
-    for joint, angle in zip(used, angles, strict=True):
-        _set_joint(model, q, joint, angle)
-    for name, (i, factor, offset) in robot.mimics.items():
-        _set_joint(model, q, model.getJointId(name), factor * angles[i] + offset)
-    return q
-
-
-def _set_joint(model: Any, q: NDArray[np.float64], joint: int, angle: float) -> None:
-    kind = model.joints[joint]
-    q[kind.idx_q : kind.idx_q + kind.nq] = angle if kind.nq == 1 else (math.cos(angle), math.sin(angle))
+    def make_q(self, angles: Sequence[float]) -> NDArray[np.float64]:
+        """Return the configuration vector for angles, rad; those of continuous joints are cosine and sine."""
+        q, values = self._rest.copy(), np.asarray(angles, dtype=np.float64)
+        if self._plain:
+            at, numbers, factors, offsets = self._plain
+            q[at] = factors * values[numbers] + offsets
+        if self._turning:
+            at, numbers, factors, offsets = self._turning
+            turned = factors * values[numbers] + offsets
+            q[at], q[at + 1] = np.cos(turned), np.sin(turned)
+        return q
 
 
 def _read_origin(element: ElementTree.Element) -> Any:
@@ -467,17 +524,22 @@ def _read_origin(element: ElementTree.Element) -> Any:
     return pinocchio.SE3(pinocchio.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
 
 
-def _make_floor() -> Any:
-    """The floor: a slab whose top is z = 0, since the bounding box of a half-space is infinite."""
+def _make_floor(height: float) -> Any:
+    """The floor: a slab below a height, m, since the bounding box of a half-space is infinite."""
     slab = coal.Box(_FLOOR_SIDE, _FLOOR_SIDE, 1.0)
-    return pinocchio.GeometryObject("floor", 0, pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), slab)
+    return pinocchio.GeometryObject("floor", 0, pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, height - 0.5])), slab)
 
 
-def _make_collision_object(name: str, solid: Solid) -> Any:
+def _make_collision_object(number: int, solid: Solid | Obstacle) -> Any:
+    if isinstance(solid, Obstacle):
+        geometry = solid.make_geometry()
+        shape = make_surface(solid.file, solid.sizes) if solid.file else make_shape(geometry, solid.name)
+        return pinocchio.GeometryObject(solid.name, 0, pinocchio.SE3(solid.placement), shape)
     if solid.shape == "cylinder":
         shape = coal.Cylinder(solid.half_x, solid.height)
     else:
         shape = coal.Box(2 * solid.half_x, 2 * solid.half_y, solid.height)
     turn = pinocchio.utils.rotate("z", solid.yaw)
     place = pinocchio.SE3(turn, np.array([solid.x, solid.y, solid.height / 2]))
+    name = f"{solid.role} at ({solid.x:.4g}, {solid.y:.4g}), number {number}"
     return pinocchio.GeometryObject(name, 0, place, shape)

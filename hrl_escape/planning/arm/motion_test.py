@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.planning.arm.model import ArmCollisions
+from hrl_escape.planning.arm.model import REFUSED, ArmCollisions
 from hrl_escape.planning.paths.problem import CheckerBudget
 
 BaseTest: TypeAlias = Callable[[NDArray[np.float64], float], bool]
 """Test of the base: true if it fits at coordinates with a margin, m."""
+TESTED = 0.05
+"""Distance of the postures that are tested before a motion is certified, in metres of motion."""
 _BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
 
 
@@ -27,6 +31,7 @@ class MotionTest:
         does_base_fit: tests the base.
         margin: distance that the base keeps from solids, m.
         budget: spent by one for each posture at which a motion is tested.
+        scale: largest motion of a point of the robot for each unit of a coordinate, m, (coordinates,).
     """
 
     collisions: ArmCollisions
@@ -34,27 +39,42 @@ class MotionTest:
     does_base_fit: BaseTest
     margin: float
     budget: CheckerBudget
+    scale: NDArray[np.float64]
 
     def is_free(self, at: NDArray[np.float64]) -> bool:
         """Return whether base and arm keep their margins at coordinates."""
         return self.does_base_fit(at, self.margin) and self.collisions.is_free(*split_coordinates(at, self.place))
 
     def is_move_free(self, begin: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
-        """Return whether a straight motion from a free place keeps half of all margins.
+        """Return whether a straight motion from a free place keeps all margins where tested, and half everywhere.
 
         Raises:
             Spent: the budget is used up.
         """
-        if not all(self.is_free(begin + share * (end - begin)) for share in (1.0, 0.5, 0.25, 0.75)):
-            return False
+        count = math.ceil(float(np.linalg.norm((end - begin) * self.scale)) / TESTED)
+        for share in _list_shares(count):
+            self.budget.spend(1)
+            if not self.is_free(begin + share * (end - begin)):
+                return False
+        return self.keeps_half(begin, end)
+
+    def keeps_half(self, begin: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
+        """Return whether a straight motion certainly keeps half of all margins.
+
+        It is refused where it comes nearer than `REFUSED` of a margin, as the steps would become too short.
+
+        Raises:
+            Spent: the budget is used up.
+        """
         move, done = end - begin, 0.0
         change = move if self.place is None else np.concatenate([np.zeros(3), move])
         base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * self.collisions.sweeps[-1])
+        rooms = (*_BASE_ROOMS, self.margin, REFUSED * self.margin)
         while done < 1.0:
             self.budget.spend(1)
             at, most = begin + done * move, 1.0 - done
             if base_motion > 0.0:
-                room = next((room for room in (*_BASE_ROOMS, self.margin) if self.does_base_fit(at, room)), None)
+                room = next((room for room in rooms if self.does_base_fit(at, room)), None)
                 if room is None:
                     return False
                 most = min(most, (room - self.margin / 2.0) / base_motion)
@@ -63,6 +83,16 @@ class MotionTest:
                 return False
             done += share
         return True
+
+
+@lru_cache(maxsize=256)
+def _list_shares(count: int) -> tuple[float, ...]:
+    """Return shares of a motion from its end on: halves, then quarters, and so on, at least `count` of them."""
+    shares, parts = [1.0], 1
+    while len(shares) < count:
+        parts *= 2
+        shares += [k / parts for k in range(1, parts, 2)]
+    return tuple(shares)
 
 
 def split_coordinates(at: NDArray[np.float64], place: tuple[float, float, float] | None

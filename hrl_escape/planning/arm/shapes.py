@@ -1,6 +1,7 @@
-"""Collision shapes of links for coal, from URDF elements: primitives, and convex hulls of meshes.
+"""Collision shapes for coal, from URDF elements: primitives, and convex hulls or surfaces of meshes.
 
-Convex hulls are faster to test than meshes, and larger, so that no collision is missed.
+Convex hulls are faster to test than meshes, and larger, so that no collision is missed. They are cached on disk, by the
+content of the mesh file.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -8,24 +9,33 @@ Convex hulls are faster to test than meshes, and larger, so that no collision is
 
 from __future__ import annotations
 
+import hashlib
+import os
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import coal
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from hrl_escape.env import mesh_files
 from hrl_escape.env.mesh_files import load_mesh
-from hrl_escape.env.urdf import read_numbers
-from hrl_escape.errors import FileReadError, RobotError
+from hrl_escape.env.urdf import LARGEST_VISUAL, read_numbers
+from hrl_escape.errors import FileReadError, FileWriteError, RobotError
+from hrl_escape.files import read_bytes, write_bytes
+from hrl_escape.kernels import make_cache_folder, strip_prose
 
 THINNEST = 1e-4
 """A mesh that is thinner than this in some direction is thickened to ten times as much, m."""
+_SOURCES = (Path(__file__), Path(mesh_files.__file__))  # what cached hulls depend on
 _DIRECTIONS = 128  # half-spaces that enclose a hull which coal refuses
 
 
 def make_shape(geometry: ElementTree.Element, link: str) -> Any:
-    """Return the shape of a `<geometry>` element; `link` is for messages.
+    """Return the shape of a `<geometry>` element, a mesh as its hull; `link` is for messages.
 
     Raises:
         RobotError: the mesh cannot be read.
@@ -39,10 +49,60 @@ def make_shape(geometry: ElementTree.Element, link: str) -> Any:
         return coal.Sphere(*_read(shape, "radius", 1))
     path = shape.get("filename", "")
     try:
-        vertices = load_mesh(path).vertices
-    except FileReadError as error:
+        status = os.stat(path)
+        return _load_hull(path, read_numbers(shape.get("scale", "1 1 1"), 3) or (), status.st_mtime_ns, status.st_size)
+    except (FileReadError, OSError) as error:
         raise RobotError(f"the collision mesh of link {link!r}: {error}") from None
-    return make_hull(vertices * np.array(read_numbers(shape.get("scale", "1 1 1"), 3)))
+
+
+def make_surface(path: str, scale: ArrayLike) -> Any:
+    """Return the triangles of a mesh as a tree of boxes, its coordinates times `scale` (3,); errors as of `load_mesh`.
+
+    The surface may be concave and open. It meets only what crosses it.
+    """
+    mesh, tree = load_mesh(path), coal.BVHModelOBBRSS()
+    corners, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for vertex in mesh.vertices * np.asarray(scale):
+        corners.append(vertex)
+    for triangle in mesh.triangles.tolist():
+        faces.append(coal.Triangle(*triangle))
+    tree.beginModel(len(faces), len(corners))
+    tree.addSubModel(corners, faces)
+    tree.endModel()
+    return tree
+
+
+@lru_cache(maxsize=512)
+def _load_hull(path: str, scale: tuple[float, ...], _time: int, _size: int) -> Any:
+    """Return the hull of a mesh, from the cache on disk if it is there; once while the file does not change."""
+    content = read_bytes(path, "mesh", LARGEST_VISUAL)
+    key = hashlib.sha256(f"{Path(path).suffix.lower()} {scale} ".encode() + content).hexdigest()
+    code = hashlib.sha256(b"".join(strip_prose(source.read_bytes()) for source in _SOURCES)).hexdigest()
+    file = make_cache_folder(f"hulls-{code[:12]}") / key
+    corners = _read_corners(file)
+    if corners is None:
+        hull = make_hull(load_mesh(path).vertices * np.array(scale))
+        with suppress(FileWriteError):
+            _write_corners(file, np.asarray(hull.points()))
+        return hull
+    return _make_convex(corners)
+
+
+def _read_corners(file: Path) -> NDArray[np.float64] | None:
+    """Return the corners of a cached hull, or None if there are none or the file is damaged."""
+    try:
+        content = read_bytes(file, "hull")
+    except FileReadError:
+        return None
+    digest, numbers = content[:32], content[32:]
+    if hashlib.sha256(numbers).digest() != digest:
+        return None
+    return np.frombuffer(numbers, dtype="<f8").reshape(-1, 3)
+
+
+def _write_corners(file: Path, corners: NDArray[np.float64]) -> None:
+    numbers = np.ascontiguousarray(corners, dtype="<f8").tobytes()
+    write_bytes(file, hashlib.sha256(numbers).digest() + numbers)
 
 
 def make_hull(points: NDArray[np.float64]) -> Any:

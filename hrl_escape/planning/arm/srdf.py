@@ -6,15 +6,24 @@ import itertools
 import math
 import warnings
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 from xml.etree import ElementTree
 
-from hrl_escape.env.robot import Robot
+from hrl_escape.env.robot import MOVING, Robot
 from hrl_escape.env.urdf import LARGEST_URDF, find_xacro
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.files import read_bytes
 
 _SLACK = 1e-3  # rad or m that a posture may be beyond a limit, from which it is brought back
+
+
+class ArmGroup(NamedTuple):
+    """Planned joints by name, and the link at their end; the joints are None for all that move that link."""
+
+    joints: tuple[str, ...] | None
+    tip: str
 
 
 def read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[float, ...]]]:
@@ -32,27 +41,93 @@ def read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[fl
     Raises:
         ConfigError: there is no such file, or it is no SRDF or one of another robot.
     """
+    root, where = _parse(source)
+    links = {link.get("name", "") for link in ElementTree.fromstring(robot.urdf).findall("link")}
+    named = {pair.get(end, "") for pair in root.iter("disable_collisions") for end in ("link1", "link2")}
+    if named and not named & links:
+        raise ConfigError("srdf", where, f"the SRDF of this robot: none of its links, such as {sorted(named)[0]!r}, is "
+                                         "in the URDF")
+    _write_out_defaults(root, sorted(links))
+    return ElementTree.tostring(root, encoding="unicode"), _read_postures(root, robot)
+
+
+def find_group(source: str | Path, urdf: ElementTree.Element, name: str = "") -> ArmGroup | None:
+    """Find a planning group in an SRDF: the chain to its tip, or its joints, those of its links and groups included.
+
+    Args:
+        source: text or path.
+        urdf: the robot's URDF.
+        name: name of the group; empty for the joints that move the link which carries the only end effector.
+
+    Returns:
+        The group; None if no name is given and there is not exactly one end effector.
+
+    Raises:
+        ConfigError: there is no such group, or it moves nothing.
+    """
+    root, _ = _parse(source)
+    if not name:
+        ends = [end.get("parent_link", "") for end in root.findall("end_effector")]
+        return ArmGroup(None, ends[0]) if len(ends) == 1 else None
+    groups = {group.get("name", ""): group for group in root.findall("group") if len(group)}
+    if name not in groups:
+        raise ConfigError("group", name, f"a group of the SRDF: {', '.join(groups)}")
+    above = {child.get("link", ""): joint for joint in urdf.findall("joint")
+             if (child := joint.find("child")) is not None}
+    names, tips, seen = list[str](), list[str](), set[str]()
+
+    def collect(group: str) -> None:
+        if group in seen or group not in groups:
+            return
+        seen.add(group)
+        for part in groups[group]:
+            if part.tag == "group":
+                collect(part.get("name", ""))
+            elif part.tag == "chain":
+                tips.append(part.get("tip_link", ""))
+                names.extend(reversed(list(_climb(above, tips[-1], part.get("base_link", "")))))
+            elif part.tag == "joint":
+                names.append(part.get("name", ""))
+            elif part.tag == "link" and part.get("name") in above:
+                names.append(above[part.get("name", "")].get("name", ""))
+
+    collect(name)
+    moving = [joint.get("name", "") for joint in urdf.findall("joint")
+              if joint.get("type") in MOVING and joint.find("mimic") is None]
+    joints = tuple(joint for joint in dict.fromkeys(names) if joint in moving)
+    if not joints:
+        raise ConfigError("group", name, "a group that has moving joints of the URDF")
+    ends = {joint.get("name"): link for link, joint in above.items()}
+    return ArmGroup(joints, tips[-1] if tips else ends[joints[-1]])
+
+
+def _climb(above: dict[str, ElementTree.Element], tip: str, base: str) -> Iterator[str]:
+    """List the joints from a link up to another."""
+    for _ in range(len(above)):
+        if tip == base or tip not in above:
+            return
+        yield above[tip].get("name", "")
+        parent = above[tip].find("parent")
+        tip = "" if parent is None else parent.get("link", "")
+
+
+def _parse(source: str | Path) -> tuple[ElementTree.Element, str]:
+    """Return the root of an SRDF, its text or path, and a name for messages."""
     is_text = isinstance(source, str) and source.lstrip("\ufeff \n\r\t").startswith("<")
-    where = "the text given" if is_text else str(source)
+    where = "the text given" if is_text else str(source)[:200]
     try:
         content = str(source).lstrip("\ufeff") if is_text else read_bytes(source, "SRDF", LARGEST_URDF)
         root = ElementTree.fromstring(content)
     except (FileReadError, ValueError, LookupError, ElementTree.ParseError) as error:
-        raise ConfigError("srdf", where[:200], f"an SRDF, its text or path: {error}") from None
+        raise ConfigError("srdf", where, f"an SRDF, its text or path: {error}") from None
     xacro = find_xacro(root)
     if xacro is not None:
-        raise ConfigError("srdf", where[:200], f"an expanded SRDF: it contains {xacro}. Run `xacro FILE > robot.srdf`")
+        raise ConfigError("srdf", where, f"an expanded SRDF: it contains {xacro}. Run `xacro FILE > robot.srdf`")
     if root.tag != "robot":
         raise ConfigError("srdf", root.tag, "an SRDF, whose root is <robot>")
-    if root.find("joint") is not None:
-        raise ConfigError("srdf", where[:200], "an SRDF: this is a URDF")
-    links = {link.get("name", "") for link in ElementTree.fromstring(robot.urdf).findall("link")}
-    named = {pair.get(end, "") for pair in root.iter("disable_collisions") for end in ("link1", "link2")}
-    if named and not named & links:
-        raise ConfigError("srdf", where[:200], f"the SRDF of this robot: none of its links, such as "
-                                               f"{sorted(named)[0]!r}, is in the URDF")
-    _write_out_defaults(root, sorted(links))
-    return ElementTree.tostring(root, encoding="unicode"), _read_postures(root, robot)
+    if any(joint.find("parent") is not None for joint in root.findall("joint")):
+        raise ConfigError("srdf", where, "an SRDF: this is a URDF")
+    return root, where
 
 
 def _write_out_defaults(root: ElementTree.Element, links: list[str]) -> None:

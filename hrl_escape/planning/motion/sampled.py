@@ -120,7 +120,7 @@ class MotionSampler(Mover):
         for way in self._list_plans(state, goal):
             presses = self._time(way, state, goal)
             if presses is not None:
-                return join_presses(self._names, presses, self._limits, self._rules.robot, name)
+                return join_presses(self._names, presses, self._limits, self._rules.robot)
         raise PlanningFailed(PlanningReason.UNREACHABLE_AT_RESOLUTION, name,
                              (state.x, state.y, self._rules.get_heading(state)), 0.0, (self._planner,))
 

@@ -67,6 +67,9 @@ class TimedTrajectory:
 
     def evaluate(self, times: ArrayLike, order: int = 0) -> NDArray[np.float64]:
         """Return positions at times within the duration, or their first or second derivatives, (..., coordinates)."""
+        if len(self.times) == 1:  # at rest
+            shape = (*np.shape(times), len(self.names))
+            return np.zeros(shape) if order else np.broadcast_to(self.positions[0], shape).copy()
         return np.asarray(self._spline(np.clip(times, 0.0, self.duration), order))
 
     def sample(self, rate: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -172,7 +175,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         clearance: distance that the base keeps from solids where it can, m; for plans.
 
     Returns:
-        The trajectory.
+        The trajectory; of one knot at time 0 where a path ends at its start.
 
     Raises:
         ConfigError: the plan has no motion, a joint would exceed its limits (it can begin up to `SOFT_LIMIT` beyond
@@ -186,17 +189,19 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         robot: Robot | None = make_robot(motion.instance.robot)
         names = ("x", "y", "heading", *robot.joint_names)
         parts = list(time_legs(motion, limits, clearance))
+        if all(len(part.motion.times) < 2 for part in parts):
+            raise ConfigError("motion", motion.name, "a plan that moves something")
     else:
         robot, names = motion.robot, motion.names
         parts = [Press(time_path(motion, limits.stack(names, robot)), ())]
-    return join_presses(names, parts, limits, robot, getattr(motion, "name", "path"))
+    return join_presses(names, parts, limits, robot)
 
 
-def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionLimits, robot: Robot | None, name: str
+def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionLimits, robot: Robot | None
                  ) -> TimedTrajectory:
     """Join pieces, where each begins at the end of the one before, and slow them down to the limits of the arm.
 
-    All pieces keep the limits. A bare path has no robot. The name is the motion's, for errors.
+    All pieces keep the limits. A bare path has no robot. Pieces at rest make a trajectory of one knot.
 
     Raises:
         ConfigError: see `make_trajectory`.
@@ -211,8 +216,6 @@ def join_presses(names: tuple[str, ...], parts: Sequence[Press], limits: MotionL
         contacts += [Contact(begin + contact.time, contact.target) for contact in begun]
         grips += [Grip(begin + grip.time, grip.action) for grip in acts]
         begin += float(part_times[-1])
-    if len(times[-1]) < 1 and sum(map(len, times)) < 2:
-        raise ConfigError("motion", name, "a motion that moves something")
     trajectory = TimedTrajectory(names, np.concatenate(times), _unwind(names, knots), np.concatenate(speeds), limits,
                                  tuple(contacts), tuple(grips))
     return _keep_efforts(trajectory, robot) if robot and robot.joint_names else trajectory

@@ -31,6 +31,7 @@ OMPL_PLANNERS = ("BFMT", "BITstar", "BKPIECE1", "FMT", "InformedRRTstar", "KPIEC
                  "RRTstar", "SORRTstar")
 ANYTIME = ("BITstar", "InformedRRTstar", "RRTstar", "SORRTstar")
 """Planners whose paths become shorter the longer they search."""
+_STRAIGHT_GOALS = 16  # nearest goals to which a straight line is tried
 STAGES = (5_000, 10_000, 20_000, 40_000, 80_000, 160_000, 320_000)
 """Numbers of checker calls that end the stages of an anytime planner in the plane."""
 
@@ -88,7 +89,8 @@ for _name in OMPL_PLANNERS:
 def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
                     goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool], spacing: float,
                     budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0,
-                    is_move_free: Callable[[NDArray[np.float64], NDArray[np.float64]], bool] | None = None
+                    is_move_free: Callable[[NDArray[np.float64], NDArray[np.float64]], bool] | None = None,
+                    certify: Callable[[NDArray[np.float64]], bool] = lambda path: True
                     ) -> NDArray[np.float64] | None:
     """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
 
@@ -102,7 +104,9 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         budget: maximum number of tested places, and the time limit.
         planner: one of `OMPL_PLANNERS`.
         seed: equal seeds give equal paths.
-        is_move_free: tests a whole straight motion from a free place to another. `spacing` then has no effect.
+        is_move_free: tests a whole straight motion from a free place to another. The search still tests places first,
+            as that is faster. If `certify` refuses its path, a second search tests every motion whole.
+        certify: tests all motions of a path (k, n).
 
     Returns:
         Places to go through in straight lines, (k, n), or None if the planner gave up or the budget is used up.
@@ -119,14 +123,24 @@ def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: 
         budget.spend(1)
         return bool(is_free(read(state)))
 
+    def find(test: Callable[[Any, Any], bool] | None) -> NDArray[np.float64] | None:
+        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages, is_move_free=test)
+        return path if path is not None and np.abs(goals - path[-1]).max(axis=1).min() <= 1e-9 else None
+
     try:
-        if is_move_free is not None and is_move_free(start, goals[0]):
-            return np.stack([start, goals[0]])
-        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages,
-                       is_move_free=is_move_free and (lambda begin, end: is_move_free(read(begin), read(end))))
+        if is_move_free is None:
+            path = find(None)
+        else:
+            nearest = np.argsort(np.linalg.norm(goals - start, axis=1), kind="stable")[:_STRAIGHT_GOALS]
+            for goal in goals[nearest]:
+                if is_move_free(start, goal):
+                    return np.stack([start, goal])
+            path = find(None)
+            if path is None or not certify(path):
+                path = find(lambda begin, end: is_move_free(read(begin), read(end)))
     except Spent:
         path = None
-    if path is not None and np.abs(goals - path[-1]).max(axis=1).min() <= 1e-9:
+    if path is not None:
         return path
     budget.clock.check()
     return None

@@ -290,10 +290,19 @@ def test_sampling_and_files_hold_the_same_motion(tmp_path):
     assert len(arm["joint_trajectory"]["points"][3]["accelerations"]) == 2
 
 
+def test_a_path_that_ends_at_its_start_is_one_knot_at_rest(tmp_path):
+    rest = make_trajectory(make_path([(1, 2, 3), (1, 2, 3)]))
+    times, positions, velocities = rest.sample(10)
+    assert times.tolist() == [0.0] and positions.tolist() == [[1, 2, 3]] and not velocities.any()
+    assert rest.evaluate([[0.0, 1.0]]).shape == (1, 2, 3) and not rest.evaluate(0.0, 2).any()
+    rest.save(tmp_path / "rest.csv")
+    assert len(rest.to_ros()["multi_dof_joint_trajectory"]["points"]) == 1
+
+
 def test_wrong_arguments_are_named(tmp_path):
     path = make_path([(0, 0, 0), (1, 0, 0)])
     for call in (lambda: make_trajectory(path).sample(0), lambda: make_trajectory(path).save(tmp_path / "way.bag"),
-                 lambda: make_trajectory(make_path([(0, 0, 0)])), lambda: MotionLimits(joint_jerk=(1.0, math.inf)),
+                 lambda: MotionLimits(joint_jerk=(1.0, math.inf)),
                  lambda: make_trajectory(path, clearance=-1.0), lambda: make_trajectory(path, clearance=math.nan),
                  lambda: MotionLimits(speed=(1.0, 1.0))):  # type: ignore[arg-type]
         with pytest.raises(ConfigError):
