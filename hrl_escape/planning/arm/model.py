@@ -40,7 +40,7 @@ _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
 TOUCHING = 1e-3
 """Links that are nearer than this at home may touch, m: hulls are larger than the links."""
-REFUSED = 0.75
+LEAST_SHARE = 0.75
 """Share of its margin below which a pair of bodies ends a motion."""
 FEW_SOLIDS, MOST_TILES = 64, 256
 """Solids up to which all are tested, and tiles of the floor whose solids are kept beyond that."""
@@ -426,7 +426,7 @@ class ArmCollisions:
             most: largest share of the motion that is asked for.
 
         Returns:
-            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than `REFUSED`
+            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than `LEAST_SHARE`
             of its margin.
         """
         return self._find_near(x, y)._advance(self._make_q(x, y, heading, angles), np.abs(change), most)
@@ -440,7 +440,7 @@ class ArmCollisions:
             if share[number] >= most:
                 break
             exact = pinocchio.computeDistance(self._geometry, data, number).min_distance
-            if exact < REFUSED * margins[number]:
+            if exact < LEAST_SHARE * margins[number]:
                 return -1.0
             most = min(most, (exact - 0.5 * margins[number]) / motion[number])
         return most

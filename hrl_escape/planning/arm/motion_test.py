@@ -11,7 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.planning.arm.model import REFUSED, ArmCollisions
+from hrl_escape.planning.arm.model import LEAST_SHARE, ArmCollisions
 from hrl_escape.planning.paths.problem import CheckerBudget
 
 BaseTest: TypeAlias = Callable[[NDArray[np.float64], float], bool]
@@ -61,7 +61,7 @@ class MotionTest:
     def keeps_half(self, begin: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
         """Return whether a straight motion certainly keeps half of all margins.
 
-        It is refused where it comes nearer than `REFUSED` of a margin, as the steps would become too short.
+        It is refused where it comes nearer than `LEAST_SHARE` of a margin, as the steps would become too short.
 
         Raises:
             Spent: the budget is used up.
@@ -69,7 +69,7 @@ class MotionTest:
         move, done = end - begin, 0.0
         change = move if self.place is None else np.concatenate([np.zeros(3), move])
         base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * self.collisions.sweeps[-1])
-        rooms = (*_BASE_ROOMS, self.margin, REFUSED * self.margin)
+        rooms = (*_BASE_ROOMS, self.margin, LEAST_SHARE * self.margin)
         while done < 1.0:
             self.budget.spend(1)
             at, most = begin + done * move, 1.0 - done

@@ -96,13 +96,13 @@ class Obstacle:
 
     def make_geometry(self) -> ElementTree.Element:
         """Make the `<geometry>` of a URDF."""
-        numbers = list(map(repr, self.sizes))
+        numbers, fields = list(map(repr, self.sizes)), dict[str, str]()
         if self.shape == "mesh":
             fields = {"filename": self.file, "scale": " ".join(numbers)}
         elif self.shape == "box":
             fields = {"size": " ".join(numbers)}
         else:
-            fields = dict(zip(("radius", "length"), numbers, strict=False))  # a sphere has no length
+            fields.update(zip(("radius", "length"), numbers, strict=False))  # a sphere has no length
         geometry = ElementTree.Element("geometry")
         ElementTree.SubElement(geometry, self.shape, fields)
         return geometry
