@@ -426,8 +426,8 @@ class ArmCollisions:
             most: largest share of the motion that is asked for.
 
         Returns:
-            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than `LEAST_SHARE`
-            of its margin.
+            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than
+            `LEAST_SHARE` of its margin.
         """
         return self._find_near(x, y)._advance(self._make_q(x, y, heading, angles), np.abs(change), most)
 
