@@ -11,6 +11,7 @@ _TITLES = {
     "search-random": "search baseline, random order",
     "search-nearest": "search baseline, nearest first",
     "search-backtrack": "search baseline, with backtracking",
+    "search-memory": "search baseline, with memory",
     "bayes": "Bayes planner",
     "oracle": "oracle",
     "text-agent": "text agent",

@@ -14,7 +14,7 @@ import gymnasium
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent
-from hrl_escape.agents.spec import AgentSpec, OptionsView
+from hrl_escape.agents.spec import SEARCH_MEMORY, AgentSpec, OptionsView
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.benchmark.agent_env import find_starts, make_agent_env, make_player
 from hrl_escape.benchmark.env_spec import EnvSpec
@@ -51,7 +51,10 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     try:
         starts = find_starts(env, recorder, seeds)
         score_range = compute_score_range(starts, agent, out / "references", parts)
-        if agent.is_reference:
+        if agent.name == SEARCH_MEMORY and place.split is None:  # it trains in the room where it is tested
+            player, value = _train(run, out, env, env, None, score_range, checkpoint_seconds,
+                                   make_player(agent, env, recorder))
+        elif agent.is_reference:
             player: Agent = make_player(agent, env, recorder)
             evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=parts)
             value = RunResult.make_reference(grid.primitives, evaluation, score_range)
@@ -143,14 +146,15 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
 
 
 def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, split: Split | None,
-           score_range: ScoreRange | None, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+           score_range: ScoreRange | None, checkpoint_seconds: float, player: Agent | None = None
+           ) -> tuple[Agent, RunResult]:
     from hrl_escape.agents.training.train import train
 
     # `run.settings` and the environment hold the rest of the spec.
     chosen = OptionsView(include_primitives=run.agent.options.include_primitives)
     result = train(
-        AgentSpec(run.agent.name, options=chosen), env, primitives=run.grid.primitives,
-        decisions=run.grid.decisions, seed=run.seed, settings=run.settings, eval_env=eval_env,
+        player or AgentSpec(run.agent.name, options=chosen), env, primitives=run.grid.primitives,
+        decisions=run.grid.decisions, seed=run.seed, settings=None if player else run.settings, eval_env=eval_env,
         eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False,

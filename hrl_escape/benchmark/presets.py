@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hrl_escape.agents.spec import REFERENCES, AgentSpec
+from hrl_escape.agents.spec import REFERENCES, SEARCH_MEMORY, AgentSpec
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.sets.room_spec import RoomSpec
@@ -17,17 +17,19 @@ def _make(name: str, description: str, agents: str, rooms: str, **numbers: Any) 
 
 
 _REFERENCES = " ".join(REFERENCES)
+_FORGETFUL = " ".join(name for name in REFERENCES if name != SEARCH_MEMORY)
+"""References of the paper's figures, whose runs are published."""
 _FLAT = "random dqn@keras-rl-2019 sarsa@keras-rl-2019 ddpg@keras-rl-2019 dqn sarsa ddpg"
 # Menashe and Stone chose among meta-actions and primitives.
 _PUBLISHED = " ".join(f"{name}+primitives" for name in (
     "random-options", "smdp-dqn@keras-rl-2019", "smdp-sarsa@keras-rl-2019", "smdp-ddpg@keras-rl-2019"))
-_OPTIONS = f"{_PUBLISHED} smdp-dqn+primitives smdp-sarsa+primitives smdp-ddpg+primitives {_REFERENCES}"
+_OPTIONS = f"{_PUBLISHED} smdp-dqn+primitives smdp-sarsa+primitives smdp-ddpg+primitives {_FORGETFUL}"
 # The paper's rooms are deterministic with one start, so one episode per evaluation is enough.
 _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "eval_episodes": 1}
 
 GRIDS: dict[str, Grid] = {grid.name: grid for grid in (
     _make("demo", "Four buttons in a hidden order; a wrong press turns all of them off. Who learns the order?",
-          "random-options smdp-q-learning dqn smdp-dqn search-backtrack oracle",
+          "random-options smdp-q-learning dqn smdp-dqn search-backtrack search-memory oracle",
           "ladder-2/violations-2/train#0", runs=10, primitives=7_000, eval_every=1_000, eval_episodes=1),
     _make("quickstart", "Do options help in a room with two buttons, and does learning improve on them?",
           f"random dqn random-options+primitives smdp-q-learning+primitives smdp-dqn+primitives {_REFERENCES}",

@@ -17,7 +17,7 @@ from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.benchmark.grid import GridRun
 from hrl_escape.benchmark.score_range import ScoreRange
-from hrl_escape.benchmark.statistics import compute_final, compute_mean_efficiency
+from hrl_escape.benchmark.statistics import compute_efficiency, compute_final, compute_mean_efficiency
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_json
 from hrl_escape.settings import read_record
@@ -48,13 +48,16 @@ class RunResult:
     trials: tuple[Evaluation, ...] = ()
     """Final evaluation of each trial over all test rooms, for grids with trials."""
     trial_ranges: tuple[ScoreRange, ...] = ()  # their scales
+    escapes: int | None = None
+    """Training episodes that succeeded; None for references without training and for results of earlier versions."""
 
     @classmethod
     def make(cls, budget: int, result: TrainResult, score_range: ScoreRange | None) -> RunResult:
         """Make the result of a finished training run."""
         return cls(budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
                    result.first_escape, result.evaluations, score_range,
-                   tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions())
+                   tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions(),
+                   escapes=None if result.segments else sum(bool(episode.success) for episode in result.episodes))
 
     @classmethod
     def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange | None
@@ -82,6 +85,32 @@ class RunResult:
         if self.seen is None or self.seen_range is None:
             return None
         return _compute_efficiency(self.seen, self.seen_range)
+
+    @property
+    def regret(self) -> float | None:
+        """Share of the training primitives lost relative to the oracle, or None if the run trained in other rooms.
+
+        The oracle escapes after the fewest known primitives in each episode, so the rest is lost. The regret of a
+        reference without training is that of its evaluation episodes.
+        """
+        if self.score_range is None or self.seen is not None or (self.escapes is None and self.primitives):
+            return None
+        fewest = np.array(self.score_range.fewest, dtype=np.float64)
+        if self.escapes is None:
+            final = self.evaluations[-1]
+            return float(1.0 - fewest[final.escaped].sum() / max(1, sum(final.lengths)))
+        return float(1.0 - self.escapes * fewest.mean() / max(1, self.primitives))
+
+    @property
+    def room_efficiencies(self) -> NDArray[np.float64]:
+        """Efficiency of each episode of the final evaluation, at most 1; one per test room in grids of sets.
+
+        Values are NaN in an environment from elsewhere.
+        """
+        final = self.evaluations[-1]
+        if self.score_range is None:
+            return np.full(len(final.lengths), np.nan)
+        return np.minimum(compute_efficiency(final.escaped, final.lengths, self.score_range.fewest), 1.0)
 
     @property
     def trial_efficiencies(self) -> NDArray[np.float64]:

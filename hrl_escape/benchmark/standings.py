@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hrl_escape.agents.spec import BAYES
+from hrl_escape.agents.spec import BAYES, SEARCH_MEMORY
 from hrl_escape.benchmark.inference import LEVEL, RESAMPLES, Estimate, compute_wilson_interval, draw_weights
 from hrl_escape.benchmark.references.registry import SEARCH_METHODS
+from hrl_escape.benchmark.room_intervals import compute_nested_interval
 from hrl_escape.benchmark.statistics import Floats, Scores, compute_iqm
 from hrl_escape.benchmark.summary import AgentSummary, Summary
 from hrl_escape.sets.room_sequence import list_sets
@@ -22,26 +23,38 @@ from hrl_escape.sets.room_sequence import list_sets
 PASSED_RATE, PASSED_EFFICIENCY = 0.9, 0.5
 """A rung is passed with a success rate above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
-LEAST_HEADROOM = 0.05
-"""Smallest gap in efficiency between search baseline and Bayes planner for a learned share."""
+LEAST_HEADROOM = 0.10
+"""Smallest lower bound of the headroom, the efficiency of the Bayes planner minus the best search baseline's, for a
+normalised score."""
 
 
-def compute_learned_share(efficiency: float, search: float, bayes: float) -> float | None:
-    """Place an efficiency on the scale from the best search baseline (0) to the Bayes planner (1).
+def compute_headroom(search: Floats, bayes: Floats) -> Estimate:
+    """Estimate the headroom of a rung, with an interval for unseen rooms.
+
+    Args:
+        search: mean efficiency of the best search baseline with equal information in each room, (rooms,).
+        bayes: of the Bayes planner in the same rooms, (rooms,).
+    """
+    return compute_nested_interval([np.array([gap]) for gap in bayes - search])
+
+
+def normalise(efficiency: float, search: Floats, bayes: Floats) -> float | None:
+    """Normalise an efficiency: 0 is the best search baseline and 1 the Bayes planner, by means over rooms.
 
     The Bayes planner is given how rooms are drawn and what cues mean, and discovers the graph. The baseline is given
     neither.
 
     Args:
-        efficiency: of the agent.
-        search: of the best search baseline.
-        bayes: of the Bayes planner.
+        efficiency: mean efficiency of the agent over the rooms.
+        search: mean efficiency of the best search baseline in each room, (rooms,).
+        bayes: of the Bayes planner in the same rooms, (rooms,).
 
     Returns:
-        Share: negative below the baseline, above 1 beyond the Bayes planner, or None if the two differ by less than
-        `LEAST_HEADROOM`.
+        Score: negative below the baseline, above 1 beyond the Bayes planner, or None if the lower bound of the
+        headroom is not above `LEAST_HEADROOM`.
     """
-    return (efficiency - search) / (bayes - search) if bayes - search >= LEAST_HEADROOM else None
+    headroom = compute_headroom(search, bayes)
+    return (efficiency - float(search.mean())) / headroom.value if headroom.low > LEAST_HEADROOM else None
 
 
 def compute_ladder_score(rungs: Sequence[Scores], rng: np.random.Generator, resamples: int = RESAMPLES) -> Estimate:
@@ -77,8 +90,8 @@ class RungStanding(NamedTuple):
     units: Scores
     """Efficiencies (runs,) of each training room, or of each run that was tested in other rooms."""
     parts: int = 1  # number of rooms in a sequence; the success rate is a share of them
-    learned: float | None = None
-    """See `compute_learned_share`, or None without runs of a search baseline and `bayes` on the rung."""
+    normalised: float | None = None
+    """See `normalise`, or None without runs of a search baseline and `bayes` on the rung."""
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[Estimate, bool]:
@@ -100,12 +113,25 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
         efficiencies = [room for room in agent.efficiencies if len(room)]
         units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
         found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, parts))
-    searched = [own.agent.efficiency.value for own in found if own.agent.spec.name in SEARCH_METHODS]
-    known = [own.agent.efficiency.value for own in found if own.agent.spec.name == BAYES]
-    if not searched or not known:
+    by_room = {own.agent.spec.name: means for own in found
+               if own.agent.spec.name in (*SEARCH_METHODS, SEARCH_MEMORY, BAYES)
+               and (means := _list_room_means(own.agent, summary)) is not None}
+    known = by_room.pop(BAYES, None)
+    searched = [means for means in by_room.values() if known is not None and len(means) == len(known)]
+    if known is None or not searched:
         return found
-    return [own._replace(learned=compute_learned_share(own.agent.efficiency.value, max(searched), max(known)))
-            for own in found]
+    best = max(searched, key=np.mean)
+    scored = [(own, _list_room_means(own.agent, summary)) for own in found]
+    return [own._replace(normalised=None if means is None else normalise(float(means.mean()), best, known))
+            for own, means in scored]
+
+
+def _list_room_means(agent: AgentSummary, summary: Summary) -> Floats | None:
+    """Return the mean efficiency of an agent in each room, (rooms,); None if some room has no run."""
+    if not summary.grid.train_rooms:
+        return None if not all(map(len, agent.efficiencies)) else np.array([room.mean() for room in agent.efficiencies])
+    tested = [result.room_efficiencies for run, result in summary.runs if run.agent.label == agent.label]
+    return np.mean(tested, axis=0) if len(set(map(len, tested))) == 1 else None
 
 
 def score_standings(standings: Iterable[RungStanding]) -> tuple[list[str], dict[str, Estimate]]:

@@ -28,6 +28,7 @@ from hrl_escape.benchmark.inference import (
     compute_wilson_interval,
 )
 from hrl_escape.benchmark.measures import EFFICIENCY, RETURN, SUCCESS, Measure
+from hrl_escape.benchmark.room_intervals import compute_crossed_interval, compute_nested_interval
 from hrl_escape.benchmark.run_results import RunResult
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.benchmark.statistics import (
@@ -99,6 +100,10 @@ class AgentSummary:
     length: Estimate  # interquartile mean of primitives in an episode of the last fifth
     score: Estimate  # interquartile mean of the return score: 0 at the worst, 1 at the best known return
     area: Estimate  # interquartile mean of the area under the efficiency's curve, over the budget
+    regret: Estimate | None
+    """Mean share of the training primitives lost relative to the oracle; None for runs that train in other rooms."""
+    unseen: Estimate | None
+    """Mean efficiency with an interval for unseen rooms and other seeds, see `room_intervals`; None with one room."""
     stuck: float  # share of runs without success in the last fifth
     gap: Gap  # distance to an efficiency of 1
     curve: Curve  # over all rooms
@@ -327,6 +332,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun], measur
     successes = UNDEFINED if math.isnan(success) else Estimate(success, *compute_wilson_interval(success, len(results)))
     final_return = _estimate(compute_mean, collect(lambda result: result.get_final("mean_return")), None)
     lengths = _get_length_bounds(comparison)
+    regrets = [[share for result in room if (share := result.regret) is not None] for room in occupied]
     return AgentSummary(
         spec=run.agent,
         settings=run.settings,
@@ -345,6 +351,8 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun], measur
         length=describe("mean_length", bounds=lengths),
         score=_estimate(compute_iqm, returns, (min(0.0, *map(np.min, returns)), max(1.0, *map(np.max, returns)))),
         area=_estimate(compute_iqm, areas),
+        regret=_estimate(compute_mean, [np.array(room) for room in regrets]) if all(map(len, regrets)) else None,
+        unseen=_estimate_unseen(occupied, efficiencies),
         stuck=float(np.mean([result.is_stuck for result in results])),
         gap=split_gap(efficiency.value, reachable),
         curve=_make_curve(occupied, budget, lengths),
@@ -362,6 +370,7 @@ def _get_length_bounds(comparison: Comparison) -> tuple[float, float] | None:
     """Return the least and most primitives of an episode, or None if the most are not known."""
     horizons = [place.instance.horizon for place in comparison.places if isinstance(place, RunPlace)]
     return (1.0, float(max(horizons))) if horizons else None
+def _estimate_unseen(rooms: Sequence[Sequence[RunResult]], efficiencies: Sequence[Floats]) -> Estimate | None:
 
 
 def _make_rng() -> np.random.Generator:

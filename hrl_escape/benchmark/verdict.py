@@ -232,8 +232,8 @@ def _compare_with_search(summary: Summary) -> list[str]:
     best, baseline = find_leader(learners), find_leader(baselines)
     rule = references.describe_rule(baseline.spec.name)
     name = "search baseline" if len(baselines) == 1 else "best search baseline"
-    start = (f"The {name}, `{baseline.label}`, {_describe_end(summary, baseline)}. It {rule}, and forgets everything "
-             "after an episode")
+    start = (f"The {name}, `{baseline.label}`, {_describe_end(summary, baseline)}. It {rule}"
+             + ("" if baseline.spec.name == references.SEARCH_MEMORY else ", and forgets everything after an episode"))
     if _beats(summary, best, baseline):
         return [f"{start}; `{best.label}`, trained in {_name_rooms(summary)}, is better."]
     if _beats(summary, baseline, best):
@@ -340,10 +340,11 @@ def _write_cautions(summary: Summary) -> list[str]:
         brought = "the options' planners" if grid.env is None else "the options"
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         f"the score that {brought} bring is unknown.")
-    has_search = any(agent.spec.name in references.SEARCH_METHODS for agent in summary.agents)
+    bar = references.SEARCH_BACKTRACK if grid.train_rooms else references.SEARCH_MEMORY
+    has_search = any(agent.spec.name in references.SEARCH_BASELINES for agent in summary.agents)
     if grid.env is None and learners and not has_search:
-        cautions.append(f"No search baseline such as `{references.SEARCH_BACKTRACK}` was run, so what can be reached "
-                        "without learning is unknown.")
+        cautions.append(f"No search baseline such as `{bar}` was run, so what can be reached without learning is "
+                        "unknown.")
     for room in summary.rooms:
         if room.place.split is not None and (known := room.place.split.room_overlap):
             cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "

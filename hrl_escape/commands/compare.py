@@ -311,6 +311,8 @@ def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
                 **{name: getattr(agent, name)._asdict() for name in
                    ("primary", "returns", "efficiency", "progress", "success", "first_escape", "length", "score",
                     "area")},
+                **{name: None if (found := getattr(agent, name)) is None else found._asdict()
+                   for name in ("regret", "unseen")},
                 "escaped_runs": agent.escaped_runs,
                 "stuck": agent.stuck,
                 "gap": agent.gap._asdict(),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.benchmark.inference import compute_interval
-from hrl_escape.benchmark.standings import compute_ladder_score, compute_learned_share, list_standings, score_standings
+from hrl_escape.benchmark.standings import compute_ladder_score, list_standings, normalise, score_standings
 from hrl_escape.benchmark.statistics import compute_iqm
 from hrl_escape.benchmark.summary import summarise
 from tests.benchmark.made_up import compare, make_result
@@ -58,18 +58,14 @@ def test_agents_are_scored_over_the_rungs_that_all_were_run_on():
     assert score_standings([both[1], *alone]) == ([], {}), "nothing to compare"
 
 
-@pytest.mark.nightly
-def test_learned_share_is_0_for_the_best_search_baseline_1_for_who_knows_the_room_configuration_and_less_for_less():
-    assert compute_learned_share(0.9, 0.7, 0.95) == pytest.approx(0.8)
-    assert compute_learned_share(0.6, 0.7, 0.95) == pytest.approx(-0.4)
-    assert compute_learned_share(0.9, 0.70, 0.74) is None, "nothing to learn there"
-    lengths = {"search-random": 80, "search-nearest": 60, "bayes": 45, "smdp-dqn": 50, "smdp-ppo": 70}
-    made = {name: [make_result([101.0 - length], best=61.0)] * 2 for name, length in lengths.items()}
+def test_the_normalised_score_is_0_for_the_best_search_baseline_and_1_for_the_bayes_planner():
+    search, bayes = np.array([0.6, 0.7, 0.8]), np.array([0.86, 0.95, 1.04])
+    assert normalise(0.9, search, bayes) == pytest.approx(0.8)
+    assert normalise(0.6, search, bayes) == pytest.approx(-0.4)
+    assert normalise(0.9, search, search + 0.08) is None, "nothing to learn there"
+    assert normalise(0.9, search, search + [0.5, 0.1, 0.2]) is None, "not in unseen rooms"
+    lengths = {"search-random": (80, 90), "search-nearest": (60, 70), "search-memory": (50, 55), "bayes": (44, 47),
+               "smdp-dqn": (50, 60), "smdp-ppo": (70, 60)}
+    made = {name: [make_result([101.0 - length], best=61.0)] for name, (length, _) in lengths.items()}
     found = {own.agent.spec.name: own for own in list_standings("low", summarise(compare(made)))}
-    efficiency = {name: 40 / length for name, length in lengths.items()}
-    for name, own in found.items():
-        assert own.agent.efficiency.value == pytest.approx(efficiency[name])
-        assert own.learned == pytest.approx((efficiency[name] - 40 / 60) / (40 / 45 - 40 / 60))
-    assert found["search-nearest"].learned == 0 and found["bayes"].learned == 1
-    del made["bayes"]
-    assert {own.learned for own in list_standings("low", summarise(compare(made)))} == {None}
+    assert {own.normalised for own in found.values()} == {None}, "one room says nothing about others"

@@ -7,11 +7,13 @@
 | `search-random` | presses buttons that are off and untried since a light last changed, in random order | lights |
 | `search-nearest` | the same, the nearest first | lights, positions |
 | `search-backtrack` | the same, and returns by known presses to a state with untried buttons | lights, positions |
+| `search-memory` | searches, then repeats and shortens its escape from the room | lights, positions, earlier episodes |
 | `bayes` | minimises expected primitives over the possible graphs | lights, positions, room configuration |
 | `oracle` | follows the best known plan | everything |
 
-Search baselines forget everything at the end of an episode. The Bayes planner is given how rooms are drawn. A learner
-that trains in the room where it is tested can exceed both, because it remembers earlier episodes.
+`search-memory` remembers earlier episodes in a room. Compare learners that train in the room where they are tested with
+it; it supports button puzzles. The other search baselines forget everything at the end of an episode. The Bayes planner
+is given how rooms are drawn.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from hrl_escape.agents.spec import (
     BAYES,
     ORACLE,
     SEARCH_BACKTRACK,
+    SEARCH_MEMORY,
     SEARCH_NEAREST,
     SEARCH_RANDOM,
     SWEEP,
@@ -41,17 +44,18 @@ from hrl_escape.benchmark.references.search import (
     Sweep,
     SweepRandom,
 )
+from hrl_escape.benchmark.references.search_memory import SearchMemory
 from hrl_escape.sets.sequence import SequenceEnv
 
 _RULES: dict[str, type[Reference]] = {
     SWEEP: Sweep, SWEEP_RANDOM: SweepRandom, SEARCH_RANDOM: SearchRandom, SEARCH_NEAREST: SearchNearest,
-    SEARCH_BACKTRACK: SearchBacktrack, BAYES: BayesPlanner, ORACLE: PlanFollower,
+    SEARCH_BACKTRACK: SearchBacktrack, SEARCH_MEMORY: SearchMemory, BAYES: BayesPlanner, ORACLE: PlanFollower,
 }
 SWEEP_BASELINES = (SWEEP, SWEEP_RANDOM)
 """Search baselines that press buttons in the order of their numbers."""
 SEARCH_METHODS = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
-"""Search baselines that read which buttons are on."""
-SEARCH_BASELINES = SWEEP_BASELINES + SEARCH_METHODS
+"""Search baselines that read which buttons are on, and forget everything after an episode."""
+SEARCH_BASELINES = (*SWEEP_BASELINES, *SEARCH_METHODS, SEARCH_MEMORY)
 """References that are given neither the dependency graph nor how rooms are drawn."""
 
 

@@ -158,12 +158,12 @@ class SearchBaseline(Reference):
         return next((action for action, option in self._options.items()
                      if getattr(option, "goal", None) == PressGoal(target)), None)
 
-    def _is_dark(self, action: int, state: RoomState) -> bool:
-        lit = self._puzzle.get_lit(state.puzzle)
+    def _is_dark(self, action: int, puzzle_state: Any) -> bool:
+        lit = self._puzzle.get_lit(puzzle_state)
         return not any(lit[target] for target in self._options[action].targets)
 
     def _prefer_dark(self, actions: Sequence[int], state: RoomState) -> list[int]:
-        return [action for action in actions if self._is_dark(action, state)] or list(actions)
+        return [action for action in actions if self._is_dark(action, state.puzzle)] or list(actions)
 
     def _measure(self, action: int, state: RoomState) -> float:
         """Return the straight-line distance from the robot to the target of an action, m."""
@@ -175,7 +175,7 @@ class SearchBaseline(Reference):
         """Describe the knowledge of each press at the latest decision, by the number of its option."""
         state = self._recorder.states[-1]
         known = {action: self._describe(action, state) for action in self._options if action != self._leave}
-        return {action: words if self._is_dark(action, state) else "lit" for action, words in known.items()}
+        return {action: words if self._is_dark(action, state.puzzle) else "lit" for action, words in known.items()}
 
     @abstractmethod
     def _describe(self, action: int, state: RoomState) -> str:
@@ -248,7 +248,7 @@ class SearchBacktrack(SearchBaseline):
     def _begin(self, is_new: bool) -> None:
         if is_new:
             self._known: dict[Hashable, dict[int, Hashable]] = {}
-            self._states: dict[Hashable, RoomState] = {}  # one that showed each pattern
+            self._states: dict[Hashable, Any] = {}  # a puzzle state that showed each pattern
 
     def _note(self, action: int, before: RoomState, after: RoomState) -> None:
         was, now = self._puzzle.observe(before.puzzle), self._puzzle.observe(after.puzzle)
@@ -260,12 +260,12 @@ class SearchBacktrack(SearchBaseline):
 
     def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
         here = self._puzzle.observe(state.puzzle)
-        self._states[here] = state
+        self._states[here] = state.puzzle
         ways = self._find_ways(here)
         for only_dark in (True, False):
             open_ = [place for place in ways if self._list_untried(place, legal, only_dark)]
             if open_:
-                lit = {place: sum(self._puzzle.get_lit(self._states[place].puzzle)) for place in open_}
+                lit = {place: sum(self._puzzle.get_lit(self._states[place])) for place in open_}
                 best = max(open_, key=lambda place: (lit[place], -len(ways[place])))
                 if ways[best] and ways[best][0] in legal:
                     return ways[best][0]
