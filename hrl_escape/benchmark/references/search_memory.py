@@ -25,7 +25,6 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import UnsupportedError
 
-
 _UNKNOWN = 10**9
 """Length of an escape that has not ended yet, longer than any."""
 
