@@ -259,7 +259,7 @@ class EscapeRoomVectorEnv(BatchVectorEnv):
         Raises:
             UnknownNameError: no camera of that name.
             ConfigError: an impossible size.
-            UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
+            UnsupportedError: the camera `chase`, a robot with an arm, or targets with cues.
             ResetNeededError: no episode has begun.
         """
         self._check_open()

@@ -254,7 +254,7 @@ def compute_layout_key(room: RoomInstance) -> str:
 def compute_task_key(puzzle: Puzzle) -> str:
     """Hash the rules of a puzzle, up to the numbers of its buttons."""
     rules = puzzle.to_dict()
-    rules.pop("marks", None)  # cues do not change the rules
+    rules.pop("cues", None)  # cues do not change the rules
     if isinstance(puzzle, ButtonsPuzzle):
         colours = [int(button == puzzle.goal) for button in range(puzzle.count)] + [2] * len(puzzle.locks)
         colours += [3] * len(puzzle.doors)

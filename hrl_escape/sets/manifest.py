@@ -35,6 +35,10 @@ class SetRecord(Settings):
     """Merkle root over the rooms' content hashes, in order."""
     skipped: tuple[int, ...] = ()
     """Indices whose rooms are alike to a room of an earlier set, or cannot be generated."""
+    roots: tuple[str, ...] = ()
+    """Roots of the set in each season."""
+    covered: Annotated[int, Range(0, 1_000_000)] = 0
+    """Rooms that a root covers, from the first; 0 for all."""
     seeds: tuple[int, ...] = ()
     """Explicit instance seeds; empty for the seeds that follow from the names."""
 
@@ -90,6 +94,8 @@ class Manifest(Settings):
     """Rungs from easy to hard."""
     axes: tuple[AxisRecord, ...] = ()
     """Axes of the benchmark's profile; empty for rungs in one order."""
+    seasons: Annotated[int, Range(0, 1000)] = 0
+    """Seasons, each with its own codes and rooms; 0 for a benchmark without seasons. See `sets.seasons`."""
     layouts: Annotated[int, Range(1, LATEST_LAYOUTS)] = 1
     """Version of layouts by which rooms are compared; see `sets.keys`."""
 

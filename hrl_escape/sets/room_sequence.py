@@ -60,13 +60,13 @@ def repeat_set(rooms: InstanceSet, count: int) -> RoomSequence:
         ConfigError: the cues have no latent codes, `count` is below 2, or the set is too small.
     """
     puzzle, name = rooms.config.puzzle, f"{rooms.name} x {count}"
-    if count < 2 or not isinstance(puzzle, ButtonsConfig) or puzzle.marks.motifs < 2:
+    if count < 2 or not isinstance(puzzle, ButtonsConfig) or puzzle.cues.latent_codes < 2:
         raise ConfigError("room", name, "a sequence repeats a set two or more times, and requires cues with "
                           "latent codes")
     groups: dict[int, list[int]] = defaultdict(list)
     for seed in rooms.seeds:
         drawn: Any = sample_puzzle(rooms.config, seed)[1]
-        groups[puzzle.marks.find_motif(drawn.marks, drawn.edge_list, drawn.goal)].append(seed)
+        groups[puzzle.cues.find_code(drawn.cues, drawn.edge_list, drawn.goal)].append(seed)
     kept = [group for _, group in sorted(groups.items()) if len(group) >= count]
     if not kept:
         raise ConfigError("room", name, f"a sequence of {count} needs {count} rooms of one latent code")

@@ -14,8 +14,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.marks import name_mark
-from hrl_escape.env.puzzles.mixins import Barring, Depicted, Marked, get_mixin
+from hrl_escape.env.puzzles.cues import name_cue
+from hrl_escape.env.puzzles.mixins import Barring, Cued, Depicted, get_mixin
 from hrl_escape.names import join_words
 from hrl_escape.options.domain import DomainStep
 from hrl_escape.options.meta_actions import AbsentOption
@@ -62,12 +62,12 @@ def tell_room(instance: RoomInstance, state: RoomState, has_places: bool,
     def locate(x: float, y: float) -> str:
         return f" at {place(x, y)}" if has_places else ""
 
-    lit, depicted, marks = puzzle.get_lit(state.puzzle), get_mixin(puzzle, Depicted), get_mixin(puzzle, Marked).marks
+    lit, depicted, cues = puzzle.get_lit(state.puzzle), get_mixin(puzzle, Depicted), get_mixin(puzzle, Cued).cues
     things = []
     for index, target in enumerate(instance.targets):
         sign = depicted.get_sign(state.puzzle, index)
         things.append(f"{quote(target.name)}{locate(target.x, target.y)}, {'on' if lit[index] else 'off'}"
-                      + (f", marked with a {name_mark(marks[index])}" if marks else "")
+                      + (f", marked with a {name_cue(cues[index])}" if cues else "")
                       + (f", showing {quote(sign)}" if sign else ""))
     things += [f"{quote(placed.prop.name)}{locate(x, y)}"
                for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True)]

@@ -432,7 +432,7 @@ class RoomScene:
         target, panel, puzzle = self.instance.targets[index], self.model.panels[index], self.instance.puzzle
         face, *_ = [self._add_part(f"targets/{index}/{name}", part) for name, part in panel._asdict().items()]
         for number, (colour, mesh) in enumerate(meshes.make_badges(self.instance, target)):
-            self._add(Painted(f"targets/{index}/mark-{number}", mesh, colour))
+            self._add(Painted(f"targets/{index}/cue-{number}", mesh, colour))
         self._names.append(self._scene.add_label(
             f"{ROOT}/targets/{index}/name", palette.name_target(puzzle, puzzle.make_state(), index, self.is_hidden),
             anchor="bottom-center", position=(target.x, target.y, target.z + target.half_z + 0.25),

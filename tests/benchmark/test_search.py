@@ -33,9 +33,15 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import QUIET
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, SectionsConfig, ViolationRule
+from hrl_escape.env.puzzles.buttons import (
+    VIOLATION_RULES,
+    ButtonsConfig,
+    ButtonsPuzzle,
+    PositionalCuesConfig,
+    ViolationRule,
+)
+from hrl_escape.env.puzzles.cues import CuesConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, mask_parents, sample_graph, sample_relabelled
-from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
@@ -274,7 +280,7 @@ def test_where_graphs_are_too_many_a_sample_has_their_odds():
 
 
 def make_marked(count: int, kind: GraphKind = "chain", **marks: Any) -> ButtonsConfig:
-    return ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), marks=MarksConfig("rank", **marks))
+    return ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), cues=CuesConfig("rank", **marks))
 
 
 def count_presses(family: GraphFamily) -> float:
@@ -286,17 +292,17 @@ def count_presses(family: GraphFamily) -> float:
 @pytest.mark.parametrize(("truth", "presses"), [(1.0, 4.0), (0.0, 7.0)])
 def test_wires_save_every_wrong_press_and_hidden_ones_none(truth: float, presses: float):
     """A chain of n: n presses for who sees all wires, n(n + 3)/4 for who sees none."""
-    config = dataclasses.replace(make_marked(4), marks=MarksConfig("wires", truth=truth))
+    config = dataclasses.replace(make_marked(4), cues=CuesConfig("dependencies", truth=truth))
     for seed in range(12):
         puzzle = config.make_puzzle(np.random.default_rng(seed))
-        told = condition_on_cues(make_family(config, 4), config.marks, puzzle.marks)
+        told = condition_on_cues(make_family(config, 4), config.cues, puzzle.cues)
         assert count_presses(told) == pytest.approx(presses)
         assert told.weights[(told.parents == np.array(puzzle.parent_masks, np.uint64)).all(axis=1)].sum() > 0
     assert compute_entropy(told) == pytest.approx(np.log2(24) if truth == 0 else 0, abs=1e-9)
 
 
 def test_samples_of_many_buttons_refuse_wires():
-    config = dataclasses.replace(make_marked(7), marks=MarksConfig("wires"))
+    config = dataclasses.replace(make_marked(7), cues=CuesConfig("dependencies"))
     marks = config.make_puzzle(np.random.default_rng(0)).marks
     with pytest.raises(UnsupportedError, match="wires between 7 buttons"):
         GraphParticles(config, 7, np.random.default_rng(0), marks)
@@ -310,21 +316,21 @@ def test_marks_are_worth_what_follows_by_hand(truth: float):
     expected = 0.0
     for marks in itertools.product(range(2), repeat=2):
         ranks = np.array([[0, 1] if goal == 1 else [1, 0] for goal in family.goals])
-        likelihood = config.marks.compute_likelihood(marks, ranks).mean()
+        likelihood = config.cues.compute_likelihood(marks, ranks).mean()
         if likelihood:
-            expected += likelihood * count_presses(condition_on_cues(family, config.marks, marks))
+            expected += likelihood * count_presses(condition_on_cues(family, config.cues, marks))
     assert expected == pytest.approx(2 + (1 - truth) / 2)
 
 
 @pytest.mark.parametrize(("motifs", "presses"), [(1, 3.0), (2, 3.5), (6, 4.5)])
 def test_motifs_cost_the_presses_that_find_out_which_holds(motifs: int, presses: float):
     """Three in a chain: one press fails in half of the rooms if two orders are possible; all six tell nothing."""
-    rules = MarksConfig("rank", levels=3, symbols=9, motifs=motifs)
+    rules = CuesConfig("rank", levels=3, symbols=9, latent_codes=motifs)
     family = make_family(make_marked(3, levels=3, symbols=9), 3)
     marks = rules.draw(3, ((0, 1), (1, 2)), 2, np.random.default_rng(0))
     assert count_presses(condition_on_cues(family, rules, marks)) == pytest.approx(presses)
     with pytest.raises(UnsupportedError, match="latent codes with") if motifs > 1 else nullcontext():
-        GraphParticles(make_marked(7, levels=3, symbols=9, motifs=motifs), 7, np.random.default_rng(0), (0,) * 7)
+        GraphParticles(make_marked(7, levels=3, symbols=9, latent_codes=motifs), 7, np.random.default_rng(0), (0,) * 7)
 
 
 @pytest.mark.parametrize(("levels", "presses"), [(5, 5.0), (2, 1 + 4 * 7 / 4)])
@@ -333,16 +339,16 @@ def test_true_marks_leave_a_chain_its_buttons_or_the_rest_of_its_search(levels: 
     config = make_marked(5, levels=levels, symbols=5)
     puzzle = config.make_puzzle(np.random.default_rng(1))
     family = make_family(config, 5)
-    told = condition_on_cues(family, config.marks, puzzle.marks)
+    told = condition_on_cues(family, config.cues, puzzle.cues)
     assert count_presses(told) == pytest.approx(presses)
-    shuffled = dataclasses.replace(config.marks, shuffled=True)
-    assert condition_on_cues(family, shuffled, puzzle.marks) is family
+    shuffled = dataclasses.replace(config.cues, shuffled=True)
+    assert condition_on_cues(family, shuffled, puzzle.cues) is family
 
 
 def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
-    sections, shape = SectionsConfig(count=6, code=1), ShapeConfig(width=9, depth=9)
+    sections, shape = PositionalCuesConfig(sections=6, code=1), ShapeConfig(width=9, depth=9)
     for kind, chances in (("chain", 1), ("tree", None)):
-        puzzle = ButtonsConfig(count=4, graph=GraphConfig(kind=kind), buttons=Panels(width=0.8), sections=sections)
+        puzzle = ButtonsConfig(count=4, graph=GraphConfig(kind=kind), buttons=Panels(width=0.8), positional_cues=sections)
         config = RoomConfig(room=shape, robot=RobotConfig(body_radius=0.3), puzzle=puzzle)
         rooms = InstanceSet("places", config, range(4))
         for room in rooms:
@@ -352,7 +358,7 @@ def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
             assert kind == "tree" or count_presses(family) == pytest.approx(4)
         told, hidden = measure_information(puzzle, rooms)
         assert 0 < told <= hidden and (kind == "tree" or told == pytest.approx(hidden) == pytest.approx(np.log2(24)))
-        bare = dataclasses.replace(puzzle, sections=SectionsConfig())
+        bare = dataclasses.replace(puzzle, positional_cues=PositionalCuesConfig())
         assert measure_information(bare, rooms)[0] == pytest.approx(0)
     with pytest.raises(UnsupportedError, match="sections with"):
         GraphParticles(dataclasses.replace(puzzle, count=7), 7, np.random.default_rng(0))
@@ -362,7 +368,7 @@ def test_the_bits_of_marks_follow_by_hand():
     """Three in a chain have log2(6) bits: two orders leave one of them, truth 0 leaves all."""
     every = np.log2(6)
     for changes, left in (({}, 0.0), ({"motifs": 2}, 1.0), ({"truth": 0.0}, every), ({"shuffled": True}, every)):
-        config = dataclasses.replace(make_marked(3, levels=3, symbols=9), marks=MarksConfig(
+        config = dataclasses.replace(make_marked(3, levels=3, symbols=9), cues=CuesConfig(
             "rank", levels=3, symbols=9, **changes))
         rooms = InstanceSet("bits", RoomConfig(room=ShapeConfig(width=9, depth=9), puzzle=config), range(3))
         assert measure_information(config, rooms) == pytest.approx((every - left, every))
@@ -371,8 +377,8 @@ def test_the_bits_of_marks_follow_by_hand():
 def test_two_buttons_touched_at_once_confuse_no_belief():
     """Button 1 lights and lets button 3 light in one move: of two at once the lower number counts first."""
     config = load_benchmark("marks-2")["motifs"].config
-    marks = dataclasses.replace(config.puzzle.marks, motifs=2)
-    rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, marks=marks)),
+    marks = dataclasses.replace(config.puzzle.cues, latent_codes=2)
+    rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, cues=marks)),
                         [699512341362768345])
     env, recorder = make_agent_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     assert evaluate(make_reference(BAYES, env, recorder), env, 1).successes == (True,)
@@ -398,7 +404,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
 
 
 @pytest.mark.nightly_for("rules-360")
-@pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("wires", 120)])
+@pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("dependencies", 120)])
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
     rooms = load_benchmark("marks-4")[rung].test[:1]
@@ -418,8 +424,8 @@ def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
         config = make_marked(5, "layered", levels=4, symbols=12, truth=truth)
         for _ in range(3):
             puzzle = config.make_puzzle(rng)
-            family = condition_on_cues(make_family(config, 5), config.marks, puzzle.marks)
-            particles = GraphParticles(config, 5, np.random.default_rng(0), puzzle.marks)
+            family = condition_on_cues(make_family(config, 5), config.cues, puzzle.cues)
+            particles = GraphParticles(config, 5, np.random.default_rng(0), puzzle.cues)
             could_light = (family.parents & np.uint64(31)) == 0
             assert particles.compute_odds(0) == pytest.approx(family.weights @ could_light, abs=0.12)
 
@@ -428,9 +434,9 @@ def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
 def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatch: pytest.MonkeyPatch):
     lengths = {}
     for shuffled in (False, True):
-        marks = MarksConfig("rank", levels=4, symbols=20, shuffled=shuffled)
+        marks = CuesConfig("rank", levels=4, symbols=20, shuffled=shuffled)
         config = RoomConfig(room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
-                            puzzle=ButtonsConfig(count=4, marks=marks, buttons=Panels(width=1.0)))
+                            puzzle=ButtonsConfig(count=4, cues=marks, buttons=Panels(width=1.0)))
         monkeypatch.setattr(bayes, "find_own_config", lambda room, config=config: config)
         rooms = [generate(config, seed) for seed in range(5)]
         lengths[shuffled] = np.mean([play(BAYES, room)[0].mean() for room in rooms])

@@ -101,9 +101,9 @@ def test_a_bare_room_starts_from_the_defaults_of_a_room_configuration_and_a_pres
 
 def test_a_section_at_its_defaults_can_be_set(capsys, tmp_path):
     path = tmp_path / "room.json"
-    assert call(capsys, "room", "--room", "four-button-chain", "--set", "puzzle.marks.kind=rank",
-                "puzzle.marks.levels=4", "--save", path)[0] == 0
-    assert len(RoomInstance.load(path).puzzle.marks) == 4
+    assert call(capsys, "room", "--room", "four-button-chain", "--set", "puzzle.cues.kind=rank",
+                "puzzle.cues.levels=4", "--save", path)[0] == 0
+    assert len(RoomInstance.load(path).puzzle.cues) == 4
 
 
 def test_the_robot_s_urdf_is_given_by_its_path(capsys, tmp_path, monkeypatch):
@@ -158,7 +158,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--set", "room.widht=30"], "unknown path of --set 'room.widht'; did you mean 'room.width'?"),
     (["--set", "rom.width=30"], "did you mean 'room.width'?"),
     (["--set", "rom=30"], "did you mean 'room'?"),
-    (["--set", "puzzle.marcs.kind=rank"], "did you mean 'puzzle.marks.kind'?"),
+    (["--set", "puzzle.marcs.kind=rank"], "did you mean 'puzzle.cues.kind'?"),
     (["--set", "puzzle.buttons.count=12"], "'count' is in puzzle.count, "),
     (["--set", "puzzle.buttons.size=12"], "Known: puzzle.buttons.centre_height, puzzle.buttons.gap"),
     (["--set", "puzzle.kind=hanoi", "puzzle.count=3"], "puzzle.discs"),

@@ -21,7 +21,7 @@ import importlib.machinery, json, re, sys
 OLD = importlib.machinery.SourceFileLoader.get_code
 CLASSES = {
     "hrl_escape.env.config": "class RobotConfig(HashedSettings):",
-    "hrl_escape.env.puzzles.buttons": "class ButtonsPuzzle(Doored, Marked, GraphPuzzle):",
+    "hrl_escape.env.puzzles.buttons": "class ButtonsPuzzle(Doored, Cued, GraphPuzzle):",
     "hrl_escape.env.puzzles.places": "class Panels(HashedSettings):",
     "hrl_escape.env.instance": "class RoomInstance(Pictured, HashedSettings):",
 }

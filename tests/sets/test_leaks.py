@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, SectionsConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, PositionalCuesConfig
+from hrl_escape.env.puzzles.cues import CUE_WORDS, CuesConfig, compute_depths
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.puzzles.marks import MARK_WORDS, MarksConfig, compute_depths
 from hrl_escape.sets.instance_set import InstanceSet
 
-COUNT, LEVELS, NO_SECTIONS = 4, 4, SectionsConfig()
+COUNT, LEVELS, NO_SECTIONS = 4, 4, PositionalCuesConfig()
 
 
-def make_set(marks: MarksConfig, rooms: int, sections: SectionsConfig = NO_SECTIONS) -> InstanceSet:
-    kind = "layered" if marks.motifs == 1 else "chain"  # which classes a room shows would tell which motif it has
+def make_set(marks: CuesConfig, rooms: int, sections: PositionalCuesConfig = NO_SECTIONS) -> InstanceSet:
+    kind = "layered" if cues.latent_codes == 1 else "chain"  # which classes a room shows would tell which motif it has
     config = RoomConfig(
         room=ShapeConfig(width=7, depth=7), robot=RobotConfig(body_radius=0.3, turn_step_deg=90.0),
         puzzle=ButtonsConfig(count=COUNT, graph=GraphConfig(kind=kind, max_parents=2), buttons=Panels(width=0.8),
-                             marks=marks, sections=sections))
+                             cues=marks, positional_cues=sections))
     return InstanceSet("leaks", config, list(range(rooms)))
 
 
@@ -47,20 +47,20 @@ def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], ND
     that are not kept. Every room is entered once by number, in an order that says nothing.
     """
     env = rooms.make_env(options=True, observation="objects")
-    width, rules, sections = len(env.observation_space.words), rooms.config.puzzle.marks, rooms.config.puzzle.sections
-    kept = [number for number, word in enumerate(env.observation_space.words) if word not in MARK_WORDS]
+    width, rules, sections = len(env.observation_space.words), rooms.config.puzzle.cues, rooms.config.puzzle.positional_cues
+    kept = [number for number, word in enumerate(env.observation_space.words) if word not in CUE_WORDS]
     found, depths, classes = [], [], []
     for index in np.random.default_rng(0).permutation(len(rooms)).tolist():
         observation, info = env.reset(seed=index, options={"instance_index": index})
         numbers = list_numbers(observation, info, width)
         puzzle, targets = env.unwrapped.instance.puzzle, env.unwrapped.instance.targets
-        symbols = np.array(puzzle.marks or np.zeros(COUNT))[:, None]
+        symbols = np.array(puzzle.cues or np.zeros(COUNT))[:, None]
         found.append(np.concatenate([numbers[:, kept], numbers[:, width:], symbols], axis=1))
         depths.append(compute_depths(COUNT, puzzle.edge_list))
         if sections.count:
             classes.append(np.argsort(sections.sort_places([(target.x, target.y) for target in targets])))
         else:
-            classes.append(rules.meanings[list(puzzle.marks)] if puzzle.marks else np.zeros(COUNT))
+            classes.append(rules.meanings[list(puzzle.cues)] if puzzle.cues else np.zeros(COUNT))
     env.close()
     return np.array(found), np.array(depths), np.array(classes, dtype=np.int64)
 
@@ -102,10 +102,10 @@ def measure(depths: NDArray[np.int64], cells: NDArray[np.int64], stratum: NDArra
     return (joint * np.log(np.where(joint, joint / np.maximum(expected, 1e-12), 1.0))).sum(axis=(1, 2, 3))
 
 
-DECEPTIVE = MarksConfig("rank", levels=LEVELS, symbols=8, truth=0.5)
-MOTIFS = MarksConfig("rank", levels=LEVELS, symbols=32, motifs=3)
-REGULARITIES = {"bare": (MarksConfig(),), "deceptive": (DECEPTIVE,), "motifs": (MOTIFS,),
-                "places": (MarksConfig(), SectionsConfig(count=8))}
+DECEPTIVE = CuesConfig("rank", levels=LEVELS, symbols=8, truth=0.5)
+MOTIFS = CuesConfig("rank", levels=LEVELS, symbols=32, latent_codes=3)
+REGULARITIES = {"bare": (CuesConfig(),), "deceptive": (DECEPTIVE,), "motifs": (MOTIFS,),
+                "places": (CuesConfig(), PositionalCuesConfig(sections=8))}
 
 
 @cache

@@ -19,8 +19,8 @@ from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.cues import CuesConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.options.memory import MEMORY_WORDS, DecisionMemory
 from hrl_escape.options.options_env import OptionsEnv
@@ -238,14 +238,14 @@ def test_floors_have_the_same_spaces():
 
 # --- towers that repeat one rule ---------------------------------------------------------
 
-RULES = MarksConfig("rank", levels=3, symbols=3, motifs=6)
+RULES = CuesConfig("rank", levels=3, symbols=3, latent_codes=6)
 SAME = InstanceSet("same", RoomConfig(
     name="same", room=ShapeConfig(width=7, depth=7), robot=RobotConfig(body_radius=0.3, turn_step_deg=90.0),
-    puzzle=ButtonsConfig(count=3, buttons=Panels(width=0.8), marks=RULES)), list(range(40)))
+    puzzle=ButtonsConfig(count=3, buttons=Panels(width=0.8), cues=RULES)), list(range(40)))
 
 
-def find_motif(room):
-    return RULES.find_motif(room.puzzle.marks, room.puzzle.edge_list, room.puzzle.goal)
+def find_code(room):
+    return RULES.find_code(room.puzzle.cues, room.puzzle.edge_list, room.puzzle.goal)
 
 
 @pytest.mark.nightly
@@ -254,8 +254,8 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
     assert tower.paired and len({len(floor) for floor in tower.sets}) == 1 and len(tower.sets[0]) > 30
     seeds = np.array([floor.seeds for floor in tower.sets])
     assert all(len(set(rooms)) == 3 for rooms in seeds.T.tolist())
-    assert [find_motif(room) for room in tower.sets[1]] == [find_motif(room) for room in tower.sets[0]]
-    assert len({find_motif(room) for room in tower.sets[0]}) > 3
+    assert [find_code(room) for room in tower.sets[1]] == [find_code(room) for room in tower.sets[0]]
+    assert len({find_code(room) for room in tower.sets[0]}) > 3
     assert load_rooms(json.loads(json.dumps(tower.describe()["content"]))).describe() == tower.describe()
     first, *above = (floor.make_env(options=True, observation="objects") for floor in tower.sets)
     env = make_described_env(json.loads(json.dumps(describe_env(SequenceEnv(first, then=above, paired=True)))))
@@ -268,7 +268,7 @@ def test_floors_that_repeat_have_one_motif_and_other_rooms():
             if info["trial_ended"]:
                 rooms.append(env.unwrapped.instance)
                 env.unwrapped.set_state(env.unwrapped.get_state()._replace(puzzle=7))
-        assert len({find_motif(room) for room in rooms}) == 1 and len({room.id for room in rooms}) == 3
+        assert len({find_code(room) for room in rooms}) == 1 and len({room.id for room in rooms}) == 3
 
 
 @pytest.mark.nightly

@@ -17,7 +17,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import QUIET
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import USE, Contacts
-from hrl_escape.env.puzzles.marks import COLOURS, SHAPES, SIZES
+from hrl_escape.env.puzzles.cues import COLOURS, SHAPES, SIZES
 from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
 from hrl_escape.env.puzzles.mixins import Barring, get_mixin
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
@@ -253,9 +253,9 @@ def test_every_door_is_told_as_it_is_and_when_it_opens():
 
 def test_marks_are_told_and_a_failed_puzzle_too():
     rooms = load_benchmark("marks-4")
-    wired = rooms["wires"].train[0]
+    wired = rooms["dependencies"].train[0]
     said = make_session(wired).reset()
-    for target, mark in zip(wired.targets, wired.puzzle.marks, strict=True):
+    for target, mark in zip(wired.targets, wired.puzzle.cues, strict=True):
         colour, plug = COLOURS[mark % 8], mark // 8
         words = f"{SIZES[plug // 4]} {colour} {SHAPES[plug % 4]}"
         assert re.search(rf'"{target.name}" at \([^)]*\), off, marked with a {words}[;.]', said)

@@ -2,8 +2,9 @@
 
 It is given the room configuration, including the meaning of cues, and the room without its graph. Up to six buttons its
 choices are optimal in expectation, with path lengths between buttons as the planner finds them (five buttons if wrong
-presses have effects or cues are noisy, unless graphs are few). A failed puzzle costs as much as the exit is worth.
-With more buttons it takes the button with the best odds per primitive, with odds estimated by a sample of graphs.
+presses have effects or cues are noisy, and any number in a family of few graphs). A failed puzzle costs as much as the
+exit is worth. With more buttons it takes the button with the best odds per primitive, with odds estimated by a sample
+of graphs.
 
 Its mean is a lower bound, in expectation, for any agent that has to discover the graph within one episode, up to the
 approximation of path lengths. An agent that remembers earlier episodes in the room can need fewer primitives.
@@ -119,9 +120,10 @@ class Posterior:
         assert isinstance(config, ButtonsConfig)
         self._config, self._odds = config, odds
         self.graph: BeliefGraph | None = None
-        has_doubtful_cues = bool(puzzle.marks) and 0 < config.marks.truth < 1
+        has_doubtful_cues = bool(puzzle.cues) and 0 < config.cues.truth < 1
         doubts = (config.on_violation != "ignore") + has_doubtful_cues
-        if puzzle.count <= MOST_BUTTONS - min(doubts, 1 if config.graph.kind == "chain" else 2):  # chains are few
+        most = MOST_BUTTONS - min(doubts, 1 if config.graph.kind == "chain" else 2)  # chains are few
+        if config.graph.family or puzzle.count <= most:
             family = make_family(self._config, puzzle.count)
             self.family = condition_on_room(family, config, room, odds)
             make = _make_belief_graph if self.family is family else BeliefGraph  # one for all rooms, or the room's own
@@ -136,7 +138,7 @@ class Posterior:
             self._graphs = np.arange(len(self.family.weights), dtype=np.int32)
         else:
             rng = np.random.default_rng(self.room.seed)
-            self._particles = GraphParticles(self._config, self._puzzle.count, rng, self._puzzle.marks)
+            self._particles = GraphParticles(self._config, self._puzzle.count, rng, self._puzzle.cues)
 
     def learn(self, target: int, lit: int, after: int, has_opened: bool) -> None:
         """Condition on a press of a button that was off; `lit` and `after` are the bits before and after it."""
@@ -172,11 +174,11 @@ class Posterior:
 
     def infer_code(self) -> NDArray[np.float64] | None:
         """Return the posterior over latent codes, (codes,), or None without codes, or with sampled graphs."""
-        if self.graph is None or self._config.marks.motifs == 1:
+        if self.graph is None or self._config.cues.latent_codes == 1:
             return None
         weights = self.family.weights[self._graphs]
         left = self.family.select(self._graphs, weights / weights.sum())
-        return infer_code(left, self._config.marks, self._puzzle.marks, self._odds)
+        return infer_code(left, self._config.cues, self._puzzle.cues, self._odds)
 
     def compute_odds(self, lit: int) -> NDArray[np.float64]:
         """Compute the probability that a press turns each button on, (buttons,); `lit` holds the bits of those on."""

@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -18,15 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance, Target
-from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, SectionsConfig
+from hrl_escape.env.puzzles.buttons import VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle, PositionalCuesConfig
+from hrl_escape.env.puzzles.cues import CuesConfig, compute_depths
 from hrl_escape.env.puzzles.graphs import (
     Edges,
     GraphConfig,
     compute_order,
+    list_family,
     mask_parents,
     sample_graph,
 )
-from hrl_escape.env.puzzles.marks import MarksConfig, compute_depths
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Between
 
@@ -135,8 +136,12 @@ def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
         count: number of buttons.
 
     Raises:
-        UnsupportedError: there are more than `MOST_BUTTONS` buttons.
+        UnsupportedError: there are more than `MOST_BUTTONS` buttons, and each room draws a new graph.
     """
+    if config.graph.family:
+        found = {(mask_parents(edges, count), goal): 1.0 / config.graph.family
+                 for edges, goal in list_family(config.graph, count, config.goal)}
+        return _make_family(config, count, found)
     if count > MOST_BUTTONS:
         raise UnsupportedError(f"the graphs of {count} buttons are too many to list; {MOST_BUTTONS} are the most")
     relabels = config.graph.relabel and config.graph.kind != "edges"
@@ -147,6 +152,10 @@ def make_family(config: ButtonsConfig, count: int) -> GraphFamily:
         for label in labels:
             relabelled = ((label[parent], label[child]) for parent, child in edges)
             found[mask_parents(relabelled, count), label[last]] += probability / len(labels)
+    return _make_family(config, count, found)
+
+
+def _make_family(config: ButtonsConfig, count: int, found: Mapping[tuple[tuple[int, ...], int], float]) -> GraphFamily:
     graphs = sorted(found)
     rules = [number for number, rule in enumerate(VIOLATION_RULES) if config.on_violation in (rule, "drawn")]
     return GraphFamily(
@@ -161,7 +170,7 @@ def _list_edges(family: GraphFamily) -> list[Edges]:
 
 
 @lru_cache(maxsize=16)
-def _classify(family: GraphFamily, rules: MarksConfig) -> NDArray[np.int64]:
+def _classify(family: GraphFamily, rules: CuesConfig) -> NDArray[np.int64]:
     """Return the class of each button under each graph, (graphs, buttons)."""
     return np.array([rules.classify(family.count, edges, goal)
                      for edges, goal in zip(_list_edges(family), family.goals.tolist(), strict=True)])
@@ -184,11 +193,11 @@ def condition_on_room(family: GraphFamily, config: ButtonsConfig, room: RoomInst
         odds: probability of each latent code of the cues, (codes,); uniform by default.
     """
     assert isinstance(room.puzzle, ButtonsPuzzle)
-    return condition_on_positions(condition_on_cues(family, config.marks, room.puzzle.marks, odds), config.sections,
-                                  room.targets)
+    by_cues = condition_on_cues(family, config.cues, room.puzzle.cues, odds)
+    return condition_on_positions(by_cues, config.positional_cues, room.targets)
 
 
-def infer_code(family: GraphFamily, rules: MarksConfig, cues: tuple[int, ...],
+def infer_code(family: GraphFamily, rules: CuesConfig, cues: tuple[int, ...],
                odds: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
     """Compute the posterior over the latent codes of cues, (codes,).
 
@@ -198,12 +207,12 @@ def infer_code(family: GraphFamily, rules: MarksConfig, cues: tuple[int, ...],
         cues: cue of each button of the room.
         odds: prior over the codes, (codes,); uniform by default.
     """
-    by_code = rules.compute_motif_likelihood(cues, _classify(family, rules))
+    by_code = rules.compute_code_likelihood(cues, _classify(family, rules))
     by_code *= 1.0 if odds is None else odds[:, None]
     return by_code / by_code.sum(axis=0) @ family.weights
 
 
-def condition_on_cues(family: GraphFamily, rules: MarksConfig, cues: tuple[int, ...],
+def condition_on_cues(family: GraphFamily, rules: CuesConfig, cues: tuple[int, ...],
                       odds: NDArray[np.float64] | None = None) -> GraphFamily:
     """Condition a family of graphs on the cues of a room; returns the same family if cues carry no information.
 
@@ -218,9 +227,9 @@ def condition_on_cues(family: GraphFamily, rules: MarksConfig, cues: tuple[int, 
     return _reweigh(family, rules.compute_likelihood(cues, _classify(family, rules), odds))
 
 
-def condition_on_positions(family: GraphFamily, rules: SectionsConfig, targets: Sequence[Target]) -> GraphFamily:
+def condition_on_positions(family: GraphFamily, rules: PositionalCuesConfig, targets: Sequence[Target]) -> GraphFamily:
     """Condition a family of graphs on the positions of a room's buttons, by the ranking of sections."""
-    if not rules.count:
+    if not rules.sections:
         return family
     positions = [(target.x, target.y) for target in targets]
     return _reweigh(family, rules.compute_likelihood(positions, _measure_depths(family)))

@@ -38,7 +38,7 @@ class GraphParticles:
         cues: cue of each button of the room; empty without cues.
 
     Raises:
-        UnsupportedError: the room has cues of several latent codes, wires, or sections.
+        UnsupportedError: the room has cues of several latent codes, dependency cues, or positional cues.
 
     Attributes:
         parents: uint64 (particles, buttons), the bits of each button's parents.
@@ -47,15 +47,15 @@ class GraphParticles:
 
     def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator, cues: tuple[int, ...] = ()
                  ) -> None:
-        if cues and config.marks.motifs > 1:
-            raise UnsupportedError(f"bayes does not support cues of {config.marks.motifs} latent codes with {count} "
-                                   f"buttons; it supports them with up to {MOST_BUTTONS}")
-        if cues and config.marks.kind == "wires":
-            raise UnsupportedError(f"bayes does not support wires between {count} buttons; it supports them with up to "
-                                   f"{MOST_BUTTONS}")
-        if config.sections.count:
-            raise UnsupportedError(f"bayes does not support sections with {count} buttons; it supports them with up to "
-                                   f"{MOST_BUTTONS}")
+        if cues and config.cues.latent_codes > 1:
+            raise UnsupportedError(f"bayes does not support cues of {config.cues.latent_codes} latent codes with "
+                                   f"{count} buttons; it supports them with up to {MOST_BUTTONS}")
+        if cues and config.cues.kind == "dependencies":
+            raise UnsupportedError(f"bayes does not support dependency cues of {count} buttons; it supports them with "
+                                   f"up to {MOST_BUTTONS}")
+        if config.positional_cues.sections:
+            raise UnsupportedError(f"bayes does not support positional cues with {count} buttons; it supports them "
+                                   f"with up to {MOST_BUTTONS}")
         self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
         self.parents = np.zeros((PARTICLES, count), np.uint64)
         self.goals = np.zeros(PARTICLES, np.int64)
@@ -64,9 +64,9 @@ class GraphParticles:
             edges, self.goals[number] = _draw_graph(config, count, rng)
             self.parents[number] = mask_parents(edges, count)
             if cues:
-                self._classes[number] = config.marks.classify(count, edges, int(self.goals[number]))
-        single = [[config.marks.compute_likelihood((cue,), np.array([[own]]))[0] for own in
-                   range(config.marks.classes)] for cue in cues] or [[1.0] * config.marks.classes] * count
+                self._classes[number] = config.cues.classify(count, edges, int(self.goals[number]))
+        single = [[config.cues.compute_likelihood((cue,), np.array([[own]]))[0] for own in
+                   range(config.cues.classes)] for cue in cues] or [[1.0] * config.cues.classes] * count
         with np.errstate(divide="ignore"):
             self._surprise = -np.log(np.array(single))  # (buttons, classes), infinite for an impossible cue
         self._doubts, self._surprises = self._measure(self.parents, self.goals, self._classes)

@@ -181,7 +181,7 @@ class BatchedCamera:
     Raises:
         UnknownNameError: no camera of that name.
         ConfigError: invalid size.
-        UnsupportedError: the camera `chase`, a robot with an arm, or targets with marks.
+        UnsupportedError: the camera `chase`, a robot with an arm, or targets with cues.
     """
 
     def __init__(self, room: TensorRoom, camera: str = "robot", width: int = 84, height: int = 84) -> None:
@@ -192,8 +192,8 @@ class BatchedCamera:
                                    "gymnasium.make makes a room with every camera")
         if room.layout.robot.joints:
             raise UnsupportedError("the batched cameras cannot draw an arm. Use gymnasium.make")
-        if room.tables.marks.numel():
-            raise UnsupportedError("the batched cameras cannot draw marks. Use gymnasium.make")
+        if room.tables.cues.numel():
+            raise UnsupportedError("the batched cameras cannot draw cues. Use gymnasium.make")
         self._room = room
         self._scenery, scenery_form = stack_scenery(room.instances, room.layout, room.device)
         self._form = _Form(camera, width, height, scenery_form)

@@ -65,7 +65,7 @@ class _Rooms:
     targets = property(lambda self: Shapes(*(column[: self._layout.targets] for column in self._pick("targets"))))
     is_present = property(lambda self: torch.arange(
         self._layout.targets, device=self.x.device).unsqueeze(1) < self._pick("target_counts"))
-    marks = property(lambda self: self._pick("marks"))
+    cues = property(lambda self: self._pick("cues"))
     lit = property(lambda self: unpack_bits(
         self._form.get_lit(self._columns, self._state.puzzle), self._layout.targets, torch.bool))
     exit = property(lambda self: self._pick("exits").unbind())

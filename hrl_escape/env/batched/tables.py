@@ -19,8 +19,8 @@ from hrl_escape.env.config import DynamicsConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
-from hrl_escape.env.puzzles.marks import make_mark_rows
-from hrl_escape.env.puzzles.mixins import Mapped, Marked, Pushing, get_mixin
+from hrl_escape.env.puzzles.cues import make_cue_rows
+from hrl_escape.env.puzzles.mixins import Cued, Mapped, Pushing, get_mixin
 from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.robot import Robot, make_robot
 from hrl_escape.env.sight import list_hiders
@@ -91,7 +91,7 @@ class Tables(NamedTuple):
     """Largest floor distance of the body's axis that touches a target, m, float32; -1 for never."""
     target_margin: Tensor  # the same from a rectangular base's outline, or its axis for a pad, m; -1 for never
     is_panel: Tensor  # true for panels, false for pads, bool
-    marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, instances), of width 0 without marks
+    cues: Tensor  # numbers of the targets' cues, float32 (targets, `CUE_WORDS`, instances), of width 0 without cues
     exits: Tensor  # x_min, x_max, y_min, y_max, (4, instances)
     half_sizes: Tensor  # largest |x| and |y| of the floor in the frame of observations, (2, instances)
     rewards: Tensor  # reward of a primitive or a step of velocities, and of one that exits, (2, instances)
@@ -165,7 +165,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, velocities: V
                                     len(other.frame.target_names)),
                                    ("reward", *(None if one.reward.is_sparse else one.reward
                                                 for one in (first, other))),
-                                   ("marks on targets", *(bool(get_mixin(one.puzzle, Marked).marks)
+                                   ("cues on targets", *(bool(get_mixin(one.puzzle, Cued).cues)
                                                           for one in (first, other)))):
             if mine != theirs:
                 raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
@@ -251,7 +251,7 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
                             torch.float32),
         target_margin=floats(columns([pad([i.compute_press_margin(t) for t in i.targets]) for i in instances])),
         is_panel=floats(columns([pad([t.kind == "panel" for t in i.targets]) for i in instances])) > 0.5,
-        marks=floats(_stack_marks(instances, layout.targets), torch.float32),
+        cues=floats(_stack_cues(instances, layout.targets), torch.float32),
         exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
         half_sizes=floats(columns([(i.frame.reach_x, i.frame.reach_y) for i in instances]), torch.float32),
         rewards=floats(columns([(i.reward.step - more, i.reward.on_exit - more)
@@ -276,7 +276,7 @@ def list_ways(instance: RoomInstance, targets: int) -> list[int]:
     return [*ways[:-1], *[0] * (targets + 1 - len(ways)), ways[-1]]
 
 
-def _stack_marks(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:
-    """Marks of every instance, 0 for absent targets, (targets, `MARK_WORDS`, instances)."""
-    rows = [make_mark_rows(get_mixin(instance.puzzle, Marked).marks) for instance in instances]
+def _stack_cues(instances: Sequence[RoomInstance], targets: int) -> np.ndarray:
+    """Cues of every instance, 0 for absent targets, (targets, `CUE_WORDS`, instances)."""
+    rows = [make_cue_rows(get_mixin(instance.puzzle, Cued).cues) for instance in instances]
     return np.stack([np.pad(row, ((0, targets - len(row)), (0, 0))) for row in rows], axis=-1)

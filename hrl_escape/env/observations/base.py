@@ -38,7 +38,7 @@ class BatchView(Protocol):
     targets: Shapes  # outlines of the targets, m, float64 (targets, rooms) each
     is_present: Tensor  # true for the targets that an instance has, bool (targets, rooms)
     lit: Tensor  # true for the targets that are on, bool (targets, rooms)
-    marks: Tensor  # numbers of the targets' marks, float32 (targets, `MARK_WORDS`, rooms), of width 0 without marks
+    cues: Tensor  # numbers of the targets' cues, float32 (targets, `CUE_WORDS`, rooms), of width 0 without cues
     are_cells: bool  # true if the targets are cells of a map
     exit: tuple[Tensor, Tensor, Tensor, Tensor]  # x_min, x_max, y_min and y_max, m, float64 (rooms,) each
 

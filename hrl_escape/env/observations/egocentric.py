@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, clip, register_observation
-from hrl_escape.env.puzzles.marks import MARK_WORDS, make_mark_rows
-from hrl_escape.env.puzzles.mixins import Mapped, Marked, get_mixin
+from hrl_escape.env.puzzles.cues import CUE_WORDS, make_cue_rows
+from hrl_escape.env.puzzles.mixins import Cued, Mapped, get_mixin
 from hrl_escape.env.sight import SIGHT_SLACK, Scanner, list_hiders
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class EgocentricObserver(Observer):
     """Ranges and bearings from the robot's place, its joints, and a ring of lidar, all in [-1, 1].
 
     Each target has its range as a fraction of the room's diagonal, sine and cosine of its bearing, 1 if it is lit, and
-    `MARK_WORDS` if targets have marks. Each block, each plate and the exit has range, sine and cosine. Numbers of
+    `CUE_WORDS` if targets have cues. Each block, each plate and the exit has range, sine and cosine. Numbers of
     things that are hidden, or absent from this instance, are 0. Joint angles as fractions of their limits follow, then
     lidar ranges as fractions of the diagonal, counter-clockwise from straight ahead.
 
@@ -39,8 +39,8 @@ class EgocentricObserver(Observer):
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
         instance, frame = self._instance, self._frame
-        self._marks = make_mark_rows(get_mixin(instance.puzzle, Marked).marks).tolist()
-        words = ("range", "sin", "cos", "lit", *(MARK_WORDS if self._marks else ()))
+        self._cues = make_cue_rows(get_mixin(instance.puzzle, Cued).cues).tolist()
+        words = ("range", "sin", "cos", "lit", *(CUE_WORDS if self._cues else ()))
         per_target = tuple(f"{name}-{word}" for name in frame.target_names for word in words)
         things = (*(placed.prop.name for placed in instance.props), "exit")
         per_thing = tuple(f"{name}-{word}" for name in things for word in ("range", "sin", "cos"))
@@ -102,7 +102,7 @@ class EgocentricObserver(Observer):
                     ahead, aside = 1.0, 0.0  # a point at the robot's own place has the bearing of +x
                 numbers += away / diagonal, aside * cos - ahead * sin, ahead * cos + aside * sin
                 if is_target:
-                    numbers += float(lit[number]), *(self._marks[number] if self._marks else ())
+                    numbers += float(lit[number]), *(self._cues[number] if self._cues else ())
             else:
                 numbers += (0.0,) * (self._per_target if is_target else 3)
             if number == len(lit) - 1:
@@ -139,7 +139,7 @@ class EgocentricObserver(Observer):
         targets, lit = rooms.targets, rooms.lit.to(torch.float32)
         half = torch.hypot(targets.half_x, targets.half_y) if rooms.are_cells else targets.half_y
         looks, in_sight = look_at(targets.x, targets.y, SIGHT_SLACK + half)
-        looks = torch.cat([looks, lit.unsqueeze(1), rooms.marks.expand(-1, -1, len(rooms.x))], dim=1)
+        looks = torch.cat([looks, lit.unsqueeze(1), rooms.cues.expand(-1, -1, len(rooms.x))], dim=1)
         seen = torch.where((rooms.is_present & in_sight).unsqueeze(1), looks, 0.0)
         way_out, in_sight = look_at(((x_min + x_max) / 2).unsqueeze(0), ((y_min + y_max) / 2).unsqueeze(0),
                                     torch.full_like(half_x, SIGHT_SLACK, dtype=torch.float64))

@@ -12,8 +12,8 @@ from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, register_observation
 from hrl_escape.env.poses import get_planar_pose
-from hrl_escape.env.puzzles.marks import MARK_WORDS, make_mark_rows
-from hrl_escape.env.puzzles.mixins import Marked, get_mixin
+from hrl_escape.env.puzzles.cues import CUE_WORDS, make_cue_rows
+from hrl_escape.env.puzzles.mixins import Cued, get_mixin
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -29,8 +29,8 @@ class ObjectObserver(Observer):
     Targets, blocks, plates and the exit have rows. A row has 1 if the object is present (rows of targets that this
     instance lacks are 0: the mask), its type, its position ahead and to the left of the robot, sine and cosine of its
     direction relative to the robot, half its sizes, and 1 if it is lit, or the exit open. Lengths are fractions of the
-    floor's diagonal. If targets have marks, every row continues with `MARK_WORDS`: 1 for the colour, the shape and the
-    size of the target's mark. The order of rows carries no information. Joint angles as fractions of their limits
+    floor's diagonal. If targets have cues, every row continues with `CUE_WORDS`: 1 for the colour, the shape and the
+    size of the target's cue. The order of rows carries no information. Joint angles as fractions of their limits
     follow.
     """
 
@@ -42,8 +42,8 @@ class ObjectObserver(Observer):
         instance, frame = self._instance, self._frame
         props, exit_ = instance.props, instance.exit
         self.rows = rows = (*frame.target_names, *(placed.prop.name for placed in props), "exit")
-        marks = make_mark_rows(get_mixin(instance.puzzle, Marked).marks)
-        self.words = words = OBJECT_WORDS + MARK_WORDS[: marks.shape[1]]
+        cues = make_cue_rows(get_mixin(instance.puzzle, Cued).cues)
+        self.words = words = OBJECT_WORDS + CUE_WORDS[: cues.shape[1]]
         self.names = (*(f"{row}-{word}" for row in rows for word in words), *self._joint_names)
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         things = [(t.x, t.y, t.yaw, t.half_x, t.half_y, "target") for t in instance.targets]
@@ -54,7 +54,7 @@ class ObjectObserver(Observer):
         self._props = slice(self._targets, self._targets + len(props))
         self._places = [*range(self._targets), *range(self._targets + absent, len(rows))]
         self._rows = np.zeros((len(rows), len(words)))
-        self._rows[: len(marks), len(OBJECT_WORDS):] = marks
+        self._rows[: len(cues), len(OBJECT_WORDS):] = cues
         for place, (_, _, _, half_x, half_y, kind) in zip(self._places, things, strict=True):
             self._rows[place, [0, OBJECT_WORDS.index(kind)]] = 1.0
             self._rows[place, 9:11] = half_x / self._diagonal, half_y / self._diagonal
@@ -100,7 +100,7 @@ class ObjectObserver(Observer):
 
         rows = make_rows("target", targets.x, targets.y, targets.cos, targets.sin, targets.half_x, targets.half_y,
                          rooms.lit.to(torch.float64))
-        rows = torch.cat([rows, rooms.marks.expand(-1, -1, len(rooms.x))], dim=1)
+        rows = torch.cat([rows, rooms.cues.expand(-1, -1, len(rooms.x))], dim=1)
         rows = torch.where(rooms.is_present.unsqueeze(1), rows, 0.0)
         nought, is_open = torch.zeros_like(rooms.x), rooms.is_solved.to(torch.float64)
         exit_ = [((x_min + x_max) / 2, (y_min + y_max) / 2), (nought + 1.0, nought), ((x_max - x_min) / 2,

@@ -11,7 +11,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.marks import compute_depths
+from hrl_escape.env.puzzles.cues import compute_depths
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
 _ROWS_A_COLUMN, _NODES_A_ROW = 12, 8

@@ -366,7 +366,7 @@ def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
 
 def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[str, list[int]]:
     """Draw panels as coloured bars and pads as areas; return the targets with names on each side."""
-    puzzle, marks = instance.puzzle, palette.list_marks(instance.puzzle)
+    puzzle, cues = instance.puzzle, palette.list_cues(instance.puzzle)
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):
         fill, edge, _ = palette.get_target_look(puzzle, state.puzzle, index)
@@ -376,8 +376,8 @@ def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> dict[
         if puzzle.get_lit(state.puzzle)[index]:
             axes.add_patch(Polygon(corners, fill=False, edgecolor=palette.LIT.fill, linewidth=10, alpha=0.4,
                                    zorder=3.7, joinstyle="round"))
-        if marks:
-            colour, outline = marks[index]
+        if cues:
+            colour, outline = cues[index]
             size = 0.5 * max(0.6, target.half_x)
             x, y = (at + (target.half_y + 1.3 * size) * part for at, part in zip(
                 (target.x, target.y), palette.find_front(instance, target), strict=True))

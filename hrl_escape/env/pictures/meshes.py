@@ -234,12 +234,12 @@ def make_part(part: RoomPart, most: float = math.inf) -> Mesh:
 
 
 def make_badges(instance: RoomInstance, target: Target) -> list[tuple[str, Mesh]]:
-    """Return colours and meshes of a panel's front: a white disc with the target's mark; empty without marks."""
-    marks, front = palette.list_marks(instance.puzzle), palette.find_front(instance, target)
-    if not marks:
+    """Return colours and meshes of a panel's front: a white disc with the target's cue; empty without cues."""
+    cues, front = palette.list_cues(instance.puzzle), palette.find_front(instance, target)
+    if not cues:
         return []
     disc = [(math.cos(turn), math.sin(turn)) for turn in (math.tau * number / 24 for number in range(24))]
-    layers = (palette.BACKGROUND, disc), marks[instance.puzzle.target_names.index(target.name)]
+    layers = (palette.BACKGROUND, disc), cues[instance.puzzle.target_names.index(target.name)]
     return [(colour, _make_badge(outline, target, front, LAYER * number))
             for number, (colour, outline) in enumerate(layers, 1)]
 

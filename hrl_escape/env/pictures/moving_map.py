@@ -69,7 +69,7 @@ def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str
 def describe_room(instance: RoomInstance) -> dict[str, Any]:
     """Describe the fixed parts of a room as a JSON value for the player; `options` is left for the caller."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
-    marks, model = palette.list_marks(instance.puzzle), RoomModel(instance)
+    cues, model = palette.list_cues(instance.puzzle), RoomModel(instance)
     return {
         "extent": {"x_min": x_min, "x_max": x_max, "y_min": y_min, "y_max": y_max},
         "floors": [_describe_rectangle(floor) for floor in compute_floors(instance)],
@@ -84,7 +84,7 @@ def describe_room(instance: RoomInstance) -> dict[str, Any]:
         "targets": [
             {**_describe_box(target.x, target.y, target.half_x, target.half_y, target.yaw),
              "short": shorten(target.name), "front": palette.find_front(instance, target),
-             "mark": marks[number] if marks else None}
+             "cue": cues[number] if cues else None}
             for number, target in enumerate(instance.targets)
         ],
         "props": [{**_describe_box(p.x, p.y, p.prop.half_size, p.prop.half_size, p.yaw), "kind": p.prop.kind}

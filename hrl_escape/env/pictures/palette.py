@@ -1,4 +1,4 @@
-"""Colours of a room in every picture, of a target in each of its states, and of its mark.
+"""Colours of a room in every picture, of a target in each of its states, and of its cue.
 
 Colours are hexadecimal sRGB text, shared by maps, cameras, the viewer and reports. This module draws nothing.
 """
@@ -12,8 +12,8 @@ from typing import NamedTuple
 from hrl_escape.env.geometry import compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.marks import split_mark
-from hrl_escape.env.puzzles.mixins import Depicted, Graphed, Marked, get_mixin
+from hrl_escape.env.puzzles.cues import split_cue
+from hrl_escape.env.puzzles.mixins import Cued, Depicted, Graphed, get_mixin
 from hrl_escape.figures import LINES as LINES
 
 BACKGROUND = "#ffffff"
@@ -30,7 +30,7 @@ INK, MUTED = "#22262e", "#7b818c"
 LOCK = "#d55e00"
 TRAIL = "#0072b2"
 MARKS = ("#d62728", "#2f6db5", "#2ca02c", "#f0d000", "#8e44ad", "#17becf", "#f08c2e", "#22262e")
-"""Colours of marks, in the order of their numbers."""
+"""Colours of cues, in the order of their numbers."""
 
 
 class TargetLook(NamedTuple):
@@ -74,12 +74,12 @@ def get_target_look(puzzle: Puzzle, state: Hashable, target: int, is_hidden: boo
     return OFF if not operators or any(operator.is_applicable(facts) for operator in operators) else WAITING
 
 
-def list_marks(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
-    """Return colour and outline, within a unit circle, of the mark on each target; empty if targets have no marks."""
+def list_cues(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Return colour and outline, within a unit circle, of the cue on each target; empty if targets have no cues."""
     corners = (24, 4, 3, 10)  # of a disc, a square, a triangle and a star, whose odd corners are further inside
     found = []
-    for mark in get_mixin(puzzle, Marked).marks:
-        colour, shape, size = split_mark(mark)
+    for cue in get_mixin(puzzle, Cued).cues:
+        colour, shape, size = split_cue(cue)
         turns = [math.tau * (number / corners[shape] + 0.25) for number in range(corners[shape])]
         radii = [(0.4, 0.7, 1.0)[size] * (0.42 if shape == 3 and number % 2 else 1.0) for number in range(len(turns))]
         found.append((MARKS[colour], [(radius * math.cos(turn), radius * math.sin(turn))

@@ -3,7 +3,7 @@
 A press turns a button on if all its parents are on; otherwise the violation rule decides what happens. One button is
 the goal: while it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) makes dead
 ends possible: once a is on, b can no longer be turned on. A button can open a door between two rooms, and can carry a
-mark (`marks.py`).
+cue (`cues.py`).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import GraphPuzzle
+from hrl_escape.env.puzzles.cues import COLOURS, Cue, CuesConfig
 from hrl_escape.env.puzzles.graphs import (
     ButtonNumber,
     GraphConfig,
@@ -28,8 +29,7 @@ from hrl_escape.env.puzzles.graphs import (
     sample_locks,
     sample_relabelled,
 )
-from hrl_escape.env.puzzles.marks import COLOURS, Mark, MarksConfig
-from hrl_escape.env.puzzles.mixins import Doored, Marked
+from hrl_escape.env.puzzles.mixins import Cued, Doored
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.schema import HashedSettings
 from hrl_escape.errors import ConfigError
@@ -48,7 +48,7 @@ _TRIES = 200
 
 
 @dataclasses.dataclass(frozen=True)
-class SectionsConfig(HashedSettings):
+class PositionalCuesConfig(HashedSettings):
     """Ranked directions from the middle of the room. Positions of buttons then carry information about the graph.
 
     The floor is cut into equal sections around the middle. Buttons with more buttons before them hang in sections of
@@ -56,8 +56,8 @@ class SectionsConfig(HashedSettings):
     allows agents to learn it in some rooms and use it in others. The set of positions is that of a room without
     sections.
     """
-    _section = "sections"
-    count: Annotated[int, Range(0, 64)] = 0
+    _section = "positional_cues"
+    sections: Annotated[int, Range(0, 64)] = 0
     """Equal sections around the middle, counter-clockwise from the right. 0 makes positions independent of the
     graph."""
     code: Annotated[int, Range(0, 2**63 - 1)] = 0
@@ -66,13 +66,13 @@ class SectionsConfig(HashedSettings):
     @cached_property
     def ranks(self) -> NDArray[np.int64]:
         """Rank of each section, shape (sections,)."""
-        return np.random.default_rng([self.code, 5]).permutation(self.count)
+        return np.random.default_rng([self.code, 5]).permutation(self.sections)
 
     def sort_places(self, places: ArrayLike) -> NDArray[np.int64]:
         """Sort indices of places (n, 2), m from the middle of the room, by the order of the buttons there."""
         x, y = np.asarray(places, dtype=np.float64).T
-        turns = np.arctan2(y, x) % math.tau / math.tau * self.count
-        return np.lexsort((turns, self.ranks[np.minimum(turns.astype(np.int64), self.count - 1)]))
+        turns = np.arctan2(y, x) % math.tau / math.tau * self.sections
+        return np.lexsort((turns, self.ranks[np.minimum(turns.astype(np.int64), self.sections - 1)]))
 
     def deal(self, places: ArrayLike, depths: Sequence[int], rng: np.random.Generator) -> NDArray[np.int64]:
         """Return the index of the place of each button; buttons of equal depth are placed at random."""
@@ -90,7 +90,7 @@ class SectionsConfig(HashedSettings):
         Returns:
             float64 (graphs,); all 1 without sections.
         """
-        if not self.count:
+        if not self.sections:
             return np.ones(len(depths))
         ways = np.array([math.prod(map(math.factorial, np.bincount(own).tolist())) for own in depths])
         return (np.diff(depths[:, self.sort_places(places)], axis=1) >= 0).all(axis=1) / ways
@@ -120,9 +120,9 @@ class ButtonsConfig(PuzzleConfig):
     turned on. More locks make more orders of presses fail."""
     doors: Annotated[int, Range(0, 15)] = 0
     """Number of doorways with a door. Each door opens once a button of its own is on."""
-    marks: MarksConfig = MarksConfig()
+    cues: CuesConfig = CuesConfig()
     """Symbols on the buttons that carry information about the graph."""
-    sections: SectionsConfig = SectionsConfig()
+    positional_cues: PositionalCuesConfig = PositionalCuesConfig()
     """Ranked directions from the middle of the room that carry information about the graph."""
 
     def check(self) -> None:
@@ -141,11 +141,12 @@ class ButtonsConfig(PuzzleConfig):
         if self.doors and (may_go_off or self.dead_ends):
             raise ConfigError("puzzle.doors", self.doors,
                               "0 if buttons can be turned off again or locked, because a door might never open again")
-        if self.marks.kind == "wires" and self.count > len(COLOURS):
-            raise ConfigError("puzzle.count", self.count, f"at most {len(COLOURS)} with wires, one colour per button")
-        if self.sections.count and (self.doors or self.buttons.places != "random"):
-            raise ConfigError("puzzle.sections.count", self.sections.count, "0 if doors or fixed places decide "
-                              "where buttons hang")
+        if self.cues.kind == "dependencies" and self.count > len(COLOURS):
+            raise ConfigError("puzzle.count", self.count, f"at most {len(COLOURS)} with dependency cues, one colour "
+                              "per button")
+        if self.positional_cues.sections and (self.doors or self.buttons.places != "random"):
+            raise ConfigError("puzzle.positional_cues.sections", self.positional_cues.sections,
+                              "0 if doors or fixed places decide where buttons hang")
         super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
@@ -160,19 +161,19 @@ class ButtonsConfig(PuzzleConfig):
             if len(locks) == self.dead_ends:
                 doors = tuple(rng.choice(self.count, self.doors, replace=False).tolist()) if self.doors else ()
                 shown = (edges, goal)
-                if self.marks.shuffled:
+                if self.cues.shuffled:
                     shown = sample_relabelled(self.graph, self.count, rng, self.goal)
-                marks = () if self.marks.kind == "none" else self.marks.draw(self.count, *shown, rng)
+                cues = () if self.cues.kind == "none" else self.cues.draw(self.count, *shown, rng)
                 rule = self.on_violation
                 if rule == "drawn":  # drawn last, which leaves all other draws unchanged
                     rule = VIOLATION_RULES[rng.integers(len(VIOLATION_RULES))]
-                return ButtonsPuzzle(self.count, edges, goal, rule, self.allow_off, locks, doors, marks)
+                return ButtonsPuzzle(self.count, edges, goal, rule, self.allow_off, locks, doors, cues)
         raise ConfigError("puzzle.dead_ends", self.dead_ends,
                           "at most the number of pairs of buttons in such graphs where neither needs the other")
 
 
 @dataclasses.dataclass(frozen=True)
-class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
+class ButtonsPuzzle(Doored, Cued, GraphPuzzle):
     """A concrete button puzzle. The name of button i is `button-<i+1>`."""
 
     kind, word = "buttons", "button"
@@ -185,8 +186,8 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
     """Pairs (a, b): while button a is on, b cannot be turned on."""
     doors: tuple[ButtonNumber, ...] = ()
     """Index of the button that opens each inner door."""
-    marks: tuple[Mark, ...] = ()
-    """Number of the symbol on each button; empty if buttons have no marks."""
+    cues: tuple[Cue, ...] = ()
+    """Number of the symbol on each button; empty if buttons have no cues."""
 
     def check(self) -> None:
         """Check the limits that relate several fields."""
@@ -197,8 +198,8 @@ class ButtonsPuzzle(Doored, Marked, GraphPuzzle):
             needed = find_ancestors(self.edge_list, (self.goal,))
             # raises unless some order turns on every needed button before it is locked
             compute_order(self.count, (*self.edge_list, *((b, a) for a, b in self.locks if b in needed)))
-        if len(self.marks) not in (0, self.count):
-            raise ConfigError("puzzle.marks", self.marks, f"empty, or one for each of {self.count} buttons")
+        if len(self.cues) not in (0, self.count):
+            raise ConfigError("puzzle.cues", self.cues, f"empty, or one for each of {self.count} buttons")
         if any(button >= self.count for button in self.doors):
             raise ConfigError("puzzle.doors", self.doors, f"numbers from 0 to {self.count - 1}")
         if self.doors and (self.allow_off or self.on_violation == "reset"):

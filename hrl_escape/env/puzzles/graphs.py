@@ -10,6 +10,7 @@ import dataclasses
 import random
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -46,8 +47,16 @@ class GraphConfig(HashedSettings):
     relabel: bool = True
     """If true, the buttons of a generated graph are numbered at random, and names do not reveal the order."""
 
+    family: Annotated[int, Range(0, 64)] = 0
+    """Number of graphs over the numbered buttons that all rooms share; each room uses one, which nothing shows. They
+    can be learned in some rooms and used in others. 0 draws a new graph for each room."""
+    code: Annotated[int, Range(0, 2**63 - 1)] = 0
+    """Seed of the graphs of a family."""
+
     def check(self) -> None:
-        """Check that only the family 'edges' has edges."""
+        """Check that only the family 'edges' has edges, and that it is no family of several."""
+        if self.family and self.kind in ("edges", "larg-2019"):
+            raise ConfigError("graph.family", self.family, f"0 with graph.kind = {self.kind!r}")
         if self.edges and self.kind != "edges":
             raise ConfigError("graph.edges", self.edges, "empty unless graph.kind is 'edges'")
 
@@ -129,12 +138,31 @@ def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator,
     The default goal is the last node in topological order. A given goal is a number before the permutation. Returns
     edges and goal.
     """
+    if config.family:
+        return list_family(config, count, goal)[rng.integers(config.family)]
     edges = sample_graph(config, count, rng)
     last: int = compute_order(count, edges)[-1] if goal is None else goal
     if config.relabel and config.kind != "edges":
         label = rng.permutation(count).tolist()
         edges, last = tuple(sorted((label[parent], label[child]) for parent, child in edges)), label[last]
     return edges, last
+
+
+@lru_cache(maxsize=64)
+def list_family(config: GraphConfig, count: int, goal: int | None = None) -> tuple[tuple[Edges, int], ...]:
+    """Return the different graphs of a family and their goals, which follow from `config.code`.
+
+    Raises:
+        ConfigError: there are fewer graphs of this kind.
+    """
+    rng, fresh = np.random.default_rng([config.code, 6]), dataclasses.replace(config, family=0)
+    found: dict[tuple[Edges, int], None] = {}
+    for _ in range(100 * config.family):
+        found[sample_relabelled(fresh, count, rng, goal)] = None
+        if len(found) == config.family:
+            return tuple(found)
+    raise ConfigError("graph.family", config.family, f"at most about {len(found)}, the number of such graphs of "
+                      f"{count} buttons")
 
 
 def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.Generator) -> Edges:

@@ -1,4 +1,4 @@
-"""Mixins for puzzles with more than rules: a graph, signs, marks, doors, a map, things to push.
+"""Mixins for puzzles with more than rules: a graph, signs, cues, doors, a map, things to push.
 
 A puzzle declares a mixin as a base class: `class Sokoban(Pushing, Puzzle)`. The defaults of each mixin describe a
 puzzle without it: `get_mixin(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
@@ -52,11 +52,11 @@ class Depicted:
         return ""
 
 
-class Marked:
-    """Mixin: targets carry symbols that agents observe. Symbols never change the rules; see `marks.py`."""
+class Cued:
+    """Mixin: targets carry symbols that agents observe. Symbols never change the rules; see `cues.py`."""
 
-    marks: tuple[int, ...] = ()
-    """Number of the symbol on each target; empty if targets have no marks."""
+    cues: tuple[int, ...] = ()
+    """Number of the symbol on each target; empty if targets have no cues."""
 
 
 class Barring:

@@ -36,8 +36,8 @@ from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, SpaceLa
 from hrl_escape.env.noise import check_instance_seed
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.cues import compute_depths
 from hrl_escape.env.puzzles.maps import GridMap
-from hrl_escape.env.puzzles.marks import compute_depths
 from hrl_escape.env.puzzles.mixins import Doored, Graphed, Mapped, Propped, get_mixin
 from hrl_escape.env.sampling.certificate import (
     Floors,
@@ -208,9 +208,9 @@ def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, doors: D
                      for name, cell in zip(puzzle.target_names, cells, strict=True))
     names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
     hung = _hang_panels(config, names, plan, doors, rng)
-    if isinstance(config.puzzle, ButtonsConfig) and config.puzzle.sections.count:
+    if isinstance(config.puzzle, ButtonsConfig) and config.puzzle.positional_cues.sections:
         depths = compute_depths(len(hung), get_mixin(puzzle, Graphed).edges)
-        dealt = config.puzzle.sections.deal([(target.x, target.y) for target in hung], depths, rng)
+        dealt = config.puzzle.positional_cues.deal([(target.x, target.y) for target in hung], depths, rng)
         return tuple(dataclasses.replace(hung[place], name=name) for place, name in zip(dealt, names, strict=True))
     if not puzzle.pad_names:
         return hung

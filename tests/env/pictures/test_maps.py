@@ -18,8 +18,8 @@ from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.graph import compute_layout
 from hrl_escape.env.pictures.maps import Trajectory, draw_room, make_map, make_map_image, save_map
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.cues import compute_depths
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph
-from hrl_escape.env.puzzles.marks import compute_depths
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileWriteError, UnsupportedError
 from tests.command_line import run_here

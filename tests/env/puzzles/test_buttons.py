@@ -13,8 +13,8 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.buttons import FAILED, VIOLATION_RULES, ButtonsConfig, ButtonsPuzzle
+from hrl_escape.env.puzzles.cues import CuesConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.puzzles.marks import MarksConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
 from hrl_escape.options.options_env import OptionsEnv
@@ -182,8 +182,8 @@ def test_a_failed_puzzle_takes_no_further_press_and_keeps_its_lights():
 
 @pytest.mark.nightly
 def test_rooms_draw_what_a_mistake_does_and_nothing_else_depends_on_it():
-    marks = MarksConfig("rank", levels=5, truth=0.5)
-    config = ButtonsConfig(count=5, graph=GraphConfig(kind="layered", max_parents=2), marks=marks)
+    marks = CuesConfig("rank", levels=5, truth=0.5)
+    config = ButtonsConfig(count=5, graph=GraphConfig(kind="layered", max_parents=2), cues=marks)
     drawn = dataclasses.replace(config, on_violation="drawn")
     rules = []
     for seed in range(600):
@@ -224,7 +224,7 @@ def test_a_wrong_press_ends_the_episode_without_an_escape(engine):
 @pytest.mark.parametrize("observation", ["objects", "features", "state", "egocentric"])
 def test_nothing_shows_before_the_first_mistake_what_one_does(observation):
     """Who sees, is told and may do the same under all three rules cannot know which holds."""
-    config = RoomConfig(puzzle=ButtonsConfig(count=3, on_violation="drawn", marks=MarksConfig("rank", levels=3)))
+    config = RoomConfig(puzzle=ButtonsConfig(count=3, on_violation="drawn", cues=CuesConfig("rank", levels=3)))
     room, seen = generate(config, 5), []
     first = [button for button in range(3) if not room.puzzle.parent_masks[button]][0]
     for rule in VIOLATION_RULES:

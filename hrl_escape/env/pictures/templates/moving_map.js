@@ -206,11 +206,11 @@ class Player {
       c.stroke();
       c.fill();
       c.shadowBlur = 0;
-      if (!target.mark) return;
+      if (!target.cue) return;
       const [x, y] = target.front.map((part, axis) => (axis ? target.y : target.x) + part * 13 * metre);
-      c.fillStyle = target.mark[0];
+      c.fillStyle = target.cue[0];
       c.beginPath();
-      target.mark[1].forEach(([u, v]) => c.lineTo(x + 8 * metre * u, y + 8 * metre * v));
+      target.cue[1].forEach(([u, v]) => c.lineTo(x + 8 * metre * u, y + 8 * metre * v));
       c.fill();
     });
     room.props.forEach((prop, index) => {
@@ -294,7 +294,7 @@ class Player {
     c.restore();
     this.room.targets.forEach((target) => {
       c.save();
-      c.translate(target.x + target.front[0] * (target.mark ? 28 : 13) * metre, target.y + target.front[1] * (target.mark ? 28 : 13) * metre);
+      c.translate(target.x + target.front[0] * (target.cue ? 28 : 13) * metre, target.y + target.front[1] * (target.cue ? 28 : 13) * metre);
       c.scale(metre, -metre);
       c.fillStyle = "#22262e";
       c.globalAlpha = 0.75;

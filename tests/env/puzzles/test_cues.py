@@ -18,8 +18,8 @@ from hrl_escape.env.pictures.meshes import make_badges
 from hrl_escape.env.pictures.moving_map import describe_room
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.cues import CUE_WORDS, MOST_SYMBOLS, CuesConfig, make_cue_rows, split_cue
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.puzzles.marks import MARK_WORDS, MOST_SYMBOLS, MarksConfig, make_mark_rows, split_mark
 from hrl_escape.env.sampling.generation import generate, sample_puzzle
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnsupportedError
@@ -30,7 +30,7 @@ def make_with(marks, kind="chain", count=4):
     return RoomConfig(
         room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
         puzzle=ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), buttons=Panels(width=1.0),
-                             marks=marks),
+                             cues=marks),
     )
 
 
@@ -39,24 +39,24 @@ def draw_puzzles(config, rooms):
 
 
 def test_marks_change_nothing_but_what_is_seen():
-    plain, marked = (generate(make_with(MarksConfig(kind, levels=4, symbols=40)), 3) for kind in ("none", "rank"))
+    plain, marked = (generate(make_with(CuesConfig(kind, levels=4, symbols=40)), 3) for kind in ("none", "rank"))
     assert "marks" not in plain.to_dict()["puzzle"]  # so ids of rooms without marks are what they were
-    assert len(marked.puzzle.marks) == 4 and marked.id != plain.id
-    assert dataclasses.replace(marked, puzzle=dataclasses.replace(marked.puzzle, marks=())) == plain
+    assert len(marked.puzzle.cues) == 4 and marked.id != plain.id
+    assert dataclasses.replace(marked, puzzle=dataclasses.replace(marked.puzzle, cues=())) == plain
     assert marked.symbolic_model == plain.symbolic_model
     assert compute_task_key(marked.puzzle) == compute_task_key(plain.puzzle)
     assert type(marked).from_dict(marked.to_dict()) == marked
 
 
 def test_a_symbol_means_the_same_class_in_every_room_and_every_class_has_symbols():
-    rules = MarksConfig("rank", levels=4, symbols=42)
+    rules = CuesConfig("rank", levels=4, symbols=42)
     meant = {}
     for puzzle in draw_puzzles(make_with(rules), 200):
         order = [puzzle.goal]
         while len(order) < 4:  # along the chain, from the goal back
             order.append(next(parent for parent, child in puzzle.edge_list if child == order[-1]))
         for rank, button in enumerate(order[::-1]):
-            assert meant.setdefault(puzzle.marks[button], rank) == rank
+            assert meant.setdefault(puzzle.cues[button], rank) == rank
     assert len(meant) == 42
     assert [meant[symbol] for symbol in range(42)] == rules.meanings.tolist()
     assert sorted(np.bincount(rules.meanings)) == [10, 10, 11, 11]
@@ -66,33 +66,33 @@ def test_a_symbol_means_the_same_class_in_every_room_and_every_class_has_symbols
 
 def test_ranks_are_longest_ways_and_the_last_level_stands_for_all_above():
     edges, goal = ((0, 1), (1, 2), (0, 2), (2, 4), (3, 4)), 4
-    assert MarksConfig("rank", levels=8).classify(6, edges, goal).tolist() == [0, 1, 2, 0, 3, 0]
-    assert MarksConfig("rank", levels=3).classify(6, edges, goal).tolist() == [0, 1, 2, 0, 2, 0]
-    assert MarksConfig("needed").classify(6, edges, goal).tolist() == [1, 1, 1, 1, 1, 0]
+    assert CuesConfig("rank", levels=8).classify(6, edges, goal).tolist() == [0, 1, 2, 0, 3, 0]
+    assert CuesConfig("rank", levels=3).classify(6, edges, goal).tolist() == [0, 1, 2, 0, 2, 0]
+    assert CuesConfig("needed").classify(6, edges, goal).tolist() == [1, 1, 1, 1, 1, 0]
 
 
 def count_true(puzzles, rules):
-    return np.mean([rules.meanings[list(puzzle.marks)] == rules.classify(puzzle.count, puzzle.edge_list, puzzle.goal)
+    return np.mean([rules.meanings[list(puzzle.cues)] == rules.classify(puzzle.count, puzzle.edge_list, puzzle.goal)
                     for puzzle in puzzles])
 
 
 @pytest.mark.nightly
 def test_the_share_of_true_marks_is_what_is_asked_for_and_shuffled_ones_are_at_chance():
     for truth in (1.0, 0.8, 0.0):
-        rules = MarksConfig("rank", levels=4, symbols=8, truth=truth)
+        rules = CuesConfig("rank", levels=4, symbols=8, truth=truth)
         share = count_true(draw_puzzles(make_with(rules), 400), rules)
         assert share == pytest.approx(truth + (1 - truth) / 4, abs=0.04)  # 1,600 marks: four standard errors or less
-    rules = MarksConfig("rank", levels=4, symbols=8, shuffled=True)
+    rules = CuesConfig("rank", levels=4, symbols=8, shuffled=True)
     puzzles = draw_puzzles(make_with(rules), 400)
     assert count_true(puzzles, rules) == pytest.approx(0.25, abs=0.05)
     for puzzle in puzzles[:50]:  # the marks of one graph all the same: every rank once
-        assert sorted(rules.meanings[list(puzzle.marks)]) == [0, 1, 2, 3]
+        assert sorted(rules.meanings[list(puzzle.cues)]) == [0, 1, 2, 3]
 
 
 @pytest.mark.nightly_for("2")
 @pytest.mark.parametrize("motifs", [1, 2])
 def test_likelihoods_are_those_of_the_draws(motifs):
-    rules = MarksConfig("rank", levels=2, symbols=5, truth=0.7, motifs=motifs)
+    rules = CuesConfig("rank", levels=2, symbols=5, truth=0.7, latent_codes=motifs)
     every = list(itertools.product(range(5), repeat=2))
     classes = np.array([[0, 1], [1, 0]])
     table = np.array([rules.compute_likelihood(marks, classes) for marks in every])
@@ -116,31 +116,31 @@ def read_wires(rules, marks):
 
 
 def test_a_wire_leads_to_the_button_that_must_be_on_before_and_some_are_hidden():
-    rules, shown = MarksConfig("wires", truth=0.75), []
+    rules, shown = CuesConfig("dependencies", truth=0.75), []
     puzzles = [make_with(rules, count=5).puzzle.make_puzzle(np.random.default_rng(seed)) for seed in range(400)]
     for puzzle in puzzles:
         parent = {child: parent for parent, child in puzzle.edge_list}
-        assert len({mark % 8 for mark in puzzle.marks}) == 5, "every button has a colour of its own"
-        for button, named in enumerate(read_wires(rules, puzzle.marks)):
+        assert len({mark % 8 for mark in puzzle.cues}) == 5, "every button has a colour of its own"
+        for button, named in enumerate(read_wires(rules, puzzle.cues)):
             assert named is None or named == parent[button]
             shown += [named is not None] if button in parent else []
     assert len(shown) == 1600 and np.mean(shown) == pytest.approx(0.75, abs=0.04)  # four standard errors
-    assert {mark // 8 for puzzle in puzzles for mark in puzzle.marks} == set(range(12)), "every plug is in use"
+    assert {mark // 8 for puzzle in puzzles for mark in puzzle.cues} == set(range(12)), "every plug is in use"
     assert set(rules.meanings.tolist()) == set(range(9)), "for every colour, and for no wire, there is a plug"
 
 
 def test_wires_of_another_graph_say_nothing():
-    rules = MarksConfig("wires", shuffled=True)
+    rules = CuesConfig("dependencies", shuffled=True)
     puzzles = [make_with(rules, count=5).puzzle.make_puzzle(np.random.default_rng(seed)) for seed in range(400)]
     right = [(named, button) in puzzle.edge_list for puzzle in puzzles
-             for button, named in enumerate(read_wires(rules, puzzle.marks)) if named is not None]
+             for button, named in enumerate(read_wires(rules, puzzle.cues)) if named is not None]
     assert len(right) == 1600 and np.mean(right) == pytest.approx(0.2, abs=0.04)  # 4 edges among 20 pairs
     classes = np.array([[0, 1, 2], [3, 0, 1]])
     assert rules.compute_likelihood((8, 1, 2), classes).tolist() == [1.0, 1.0]
 
 
 def test_what_wires_lead_to_is_as_frequent_as_their_likelihoods_say():
-    rules, edges, colours = MarksConfig("wires", truth=0.6), ((2, 0), (0, 1)), (4, 7, 0)
+    rules, edges, colours = CuesConfig("dependencies", truth=0.6), ((2, 0), (0, 1)), (4, 7, 0)
     classes = rules.classify(3, edges, 0)[None]
     likely: Counter[tuple[int | None, ...]] = Counter()
     for plugs in itertools.product(range(12), repeat=3):
@@ -159,7 +159,7 @@ def test_what_wires_lead_to_is_as_frequent_as_their_likelihoods_say():
 @pytest.mark.parametrize("truth", [1.0, 0.6])
 def test_likelihoods_of_wires_are_those_of_the_draws(truth):
     """Given the colours: over all plugs they sum to 1 under every graph, and are the shares of plugs drawn."""
-    rules, edges = MarksConfig("wires", truth=truth), ((2, 0), (0, 1))
+    rules, edges = CuesConfig("dependencies", truth=truth), ((2, 0), (0, 1))
     colours, graphs = (4, 7, 0), (edges, ((0, 1), (1, 2)), ((0, 1), (0, 2)))
     classes = np.array([rules.classify(3, each, 0) for each in graphs])
     assert classes.tolist() == [[3, 1, 0], [0, 1, 2], [0, 1, 1]]
@@ -177,24 +177,24 @@ def test_likelihoods_of_wires_are_those_of_the_draws(truth):
 
 
 def test_each_room_has_one_motif_and_all_motifs_are_as_frequent():
-    rules = MarksConfig("rank", levels=4, symbols=12, motifs=3)
+    rules = CuesConfig("rank", levels=4, symbols=12, latent_codes=3)
     assert rules.orders[0].tolist() == [0, 1, 2, 3] and len({tuple(order) for order in rules.orders}) == 3
     assert (np.sort(rules.orders, axis=1) == np.arange(4)).all()
     found = []
     for puzzle in draw_puzzles(make_with(rules), 300):
         ranks = rules.classify(4, puzzle.edge_list, puzzle.goal)
-        motif, = np.flatnonzero((rules.orders[:, rules.meanings[list(puzzle.marks)]] == ranks).all(axis=1))
+        motif, = np.flatnonzero((rules.orders[:, rules.meanings[list(puzzle.cues)]] == ranks).all(axis=1))
         found.append(motif)
     assert np.bincount(found) == pytest.approx([100, 100, 100], abs=33)  # four standard errors
-    assert MarksConfig("rank", levels=2, symbols=2, motifs=2).orders.tolist() == [[0, 1], [1, 0]]
+    assert CuesConfig("rank", levels=2, symbols=2, latent_codes=2).orders.tolist() == [[0, 1], [1, 0]]
 
 
 def test_every_symbol_looks_different():
-    rows = make_mark_rows(tuple(range(MOST_SYMBOLS)))
-    assert len(np.unique(rows, axis=0)) == MOST_SYMBOLS == len({split_mark(mark) for mark in range(MOST_SYMBOLS)})
+    rows = make_cue_rows(tuple(range(MOST_SYMBOLS)))
+    assert len(np.unique(rows, axis=0)) == MOST_SYMBOLS == len({split_cue(mark) for mark in range(MOST_SYMBOLS)})
     assert (rows.sum(axis=1) == 3).all()
-    puzzle = draw_puzzles(make_with(MarksConfig("rank"), count=6), 1)[0]
-    looks = [palette.list_marks(dataclasses.replace(puzzle, marks=tuple(range(first, first + 6))))
+    puzzle = draw_puzzles(make_with(CuesConfig("rank"), count=6), 1)[0]
+    looks = [palette.list_marks(dataclasses.replace(puzzle, cues=tuple(range(first, first + 6))))
              for first in range(0, MOST_SYMBOLS, 6)]
     assert len({(colour, tuple(outline)) for part in looks for colour, outline in part}) == MOST_SYMBOLS
 
@@ -202,16 +202,16 @@ def test_every_symbol_looks_different():
 @pytest.mark.nightly_for("egocentric")
 @pytest.mark.parametrize("kind", ["objects", "egocentric"])
 def test_both_engines_show_marks_on_their_targets_and_nothing_else_moves(kind):
-    config = make_with(MarksConfig("rank", symbols=60), "layered", Between(2, 4))
+    config = make_with(CuesConfig("rank", symbols=60), "layered", Between(2, 4))
     rooms = [generate(config, seed) for seed in range(6)]
-    plain = [dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, marks=())) for room in rooms]
+    plain = [dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, cues=())) for room in rooms]
     assert len({len(room.targets) for room in rooms}) > 1
     shown = EscapeRoomVectorEnv(6, instance=rooms, observation=kind)
     bare = EscapeRoomVectorEnv(6, instance=plain, observation=kind)
     seen, unmarked = (env.reset(seed=0)[0] for env in (shown, bare))
     words = list(EscapeRoomEnv(instance=rooms[0], observation=kind).unwrapped._observer.names)
-    is_mark = np.array([word.rpartition("-")[2] in MARK_WORDS for word in words])
-    assert is_mark.sum() == len(MARK_WORDS) * (5 if kind == "objects" else 4)  # the exit has a row, too
+    is_mark = np.array([word.rpartition("-")[2] in CUE_WORDS for word in words])
+    assert is_mark.sum() == len(CUE_WORDS) * (5 if kind == "objects" else 4)  # the exit has a row, too
     for _ in range(12):
         assert np.array_equal(seen[:, ~is_mark], unmarked)
         action = shown.action_space.sample()
@@ -223,42 +223,42 @@ def test_both_engines_show_marks_on_their_targets_and_nothing_else_moves(kind):
             assert np.abs(own[: len(is_mark) - 16] - seen[number, : len(is_mark) - 16]).max() < 2e-5
             if kind == "objects":
                 rows = own.reshape(5, -1)[:, len(OBJECT_WORDS):]
-                assert np.array_equal(rows[: len(room.targets)], make_mark_rows(room.puzzle.marks))
+                assert np.array_equal(rows[: len(room.targets)], make_cue_rows(room.puzzle.cues))
                 assert not rows[len(room.targets):].any()
             single.close()
         seen, unmarked = (env.step(action)[0] for env in (shown, bare))
 
 
 def test_marks_out_of_sight_are_not_seen():
-    config = dataclasses.replace(make_with(MarksConfig("rank", symbols=60)), room=ShapeConfig(
+    config = dataclasses.replace(make_with(CuesConfig("rank", symbols=60)), room=ShapeConfig(
         width=16, depth=16, rooms=4, doorway_width=2.0))
     hidden = 0
     for seed in range(4):
         env = EscapeRoomEnv(instance=generate(config, seed), observation="egocentric")
         seen, _ = env.reset(seed=0)
-        rows = seen[: 4 * (4 + len(MARK_WORDS))].reshape(4, -1)
-        for row, full in zip(rows, make_mark_rows(env.instance.puzzle.marks), strict=True):
+        rows = seen[: 4 * (4 + len(CUE_WORDS))].reshape(4, -1)
+        for row, full in zip(rows, make_cue_rows(env.instance.puzzle.cues), strict=True):
             assert np.array_equal(row[4:], full if row[0] else np.zeros_like(full))
             hidden += not row[0]
     assert hidden >= 3
 
 
 def test_pictures_show_the_colour_of_a_mark():
-    room = generate(make_with(MarksConfig("rank", symbols=8)), 1)
-    colours = [palette.MARKS[split_mark(mark)[0]] for mark in room.puzzle.marks]
+    room = generate(make_with(CuesConfig("rank", symbols=8)), 1)
+    colours = [palette.MARKS[split_cue(mark)[0]] for mark in room.puzzle.cues]
     image = make_map_image(room).reshape(-1, 3)
     assert all((image == np.round(255 * np.array(palette.to_rgb(colour)))).all(axis=1).any() for colour in colours)
     assert [target["mark"][0] for target in describe_room(room)["targets"]] == colours
     for target, colour in zip(room.targets, colours, strict=True):
         assert make_badges(room, target)[-1][0] == colour
-    bare = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, marks=()))
+    bare = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, cues=()))
     assert make_badges(bare, bare.targets[0]) == [] and describe_room(bare)["targets"][0]["mark"] is None
 
 
 def test_pixels_show_marks():
-    room = generate(make_with(MarksConfig("rank", symbols=8)), 1)
+    room = generate(make_with(CuesConfig("rank", symbols=8)), 1)
     others = dataclasses.replace(room, puzzle=dataclasses.replace(
-        room.puzzle, marks=tuple((mark + 1) % 8 for mark in room.puzzle.marks)))
+        room.puzzle, cues=tuple((mark + 1) % 8 for mark in room.puzzle.cues)))
     target = room.targets[0]
     x, y = palette.find_front(room, target)
     pictures = []
@@ -273,7 +273,7 @@ def test_pixels_show_marks():
 
 
 def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
-    marked, bare = generate(make_with(MarksConfig("rank")), 0), generate(make_with(MarksConfig()), 0)
+    marked, bare = generate(make_with(CuesConfig("rank")), 0), generate(make_with(CuesConfig()), 0)
     with pytest.raises(UnsupportedError, match="marks on targets"):
         EscapeRoomVectorEnv(2, instance=[marked, bare], observation="objects")
     with pytest.raises(UnsupportedError, match="cannot draw marks"):
@@ -281,24 +281,24 @@ def test_marked_and_bare_rooms_are_no_batch_and_batched_cameras_refuse_marks():
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"kind": "rank", "levels": 8, "symbols": 6}, "marks.symbols = 6 is not possible: at least 8"),
+    ({"kind": "rank", "levels": 8, "symbols": 6}, "cues.symbols = 6 is not possible: at least 8"),
     ({"kind": "rank", "symbols": 97}, "97"),
-    ({"kind": "wires", "motifs": 2}, "marks.motifs = 2 is not possible: 1 with wires"),
-    ({"kind": "needed", "motifs": 3}, "marks.motifs = 3 is not possible: at most 2, the number of orders of 2 classes"),
+    ({"kind": "dependencies", "motifs": 2}, "cues.latent_codes = 2 is not possible: 1 with wires"),
+    ({"kind": "needed", "motifs": 3}, "cues.latent_codes = 3 is not possible: at most 2, the number of orders of 2 classes"),
     ({"kind": "rank", "truth": 1.5}, "1.5"),
     ({"kind": "colour"}, "needed"),
 ])
 def test_impossible_marks_are_refused(changes, words):
     with pytest.raises(ConfigError, match=re.escape(words)):
-        MarksConfig(**changes)
-    puzzle = draw_puzzles(make_with(MarksConfig("rank")), 1)[0]
+        CuesConfig(**changes)
+    puzzle = draw_puzzles(make_with(CuesConfig("rank")), 1)[0]
     with pytest.raises(ConfigError, match="one for each of 4 buttons"):
-        dataclasses.replace(puzzle, marks=(1, 2))
+        dataclasses.replace(puzzle, cues=(1, 2))
 
 
 def test_a_room_with_marks_by_name_alone():
     env = gymnasium.make("hrl_escape/EscapeRoom-v1", observation="objects", config={
         "puzzle": {"kind": "buttons", "count": 3, "marks": {"kind": "rank"}}})
-    assert env.observation_space.words == OBJECT_WORDS + MARK_WORDS
+    assert env.observation_space.words == OBJECT_WORDS + CUE_WORDS
     seen, _ = env.reset(seed=0)
     assert env.observation_space.contains(seen)
