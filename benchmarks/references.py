@@ -1,6 +1,6 @@
 """References of a benchmark's rungs, and the choice of the rungs of a profile.
 
-    python -m benchmarks.references measure marks-3
+    python -m benchmarks.references measure ladder-2
     python -m benchmarks.references measure ladder-2 --rung depth-1 depth-2
     python -m benchmarks.references choose benchmarks/ladder-2.toml
 

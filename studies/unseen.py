@@ -23,8 +23,9 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.memory import VectorDecisionMemory
 from hrl_escape.planning.best_known import find_best_known, list_start_states
-from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
+from studies.study import ROOT
 
 __all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
            "play_agent", "play_unseen", "stream_rooms", "train_agent"]
@@ -58,10 +59,20 @@ def make_unseen(rooms: InstanceSet) -> UnseenRooms:
     return UnseenRooms(rooms, tuple(map(count_fewest, rooms)))
 
 
+MANIFESTS = ROOT / "marks/manifests"
+"""Benchmarks of version 0.3 that only studies use: `marks-1` to `marks-4`, without roots."""
+
+
+def find_benchmark(name: str) -> Benchmark:
+    """Load a benchmark of the package, or one that only studies use."""
+    own = MANIFESTS / f"{name}.json"
+    return load_benchmark(own if own.is_file() else name)
+
+
 @lru_cache(maxsize=8)
 def get_unseen(benchmark: str, rung: str, tested: int) -> UnseenRooms:
     """The first test rooms of a rung."""
-    return make_unseen(load_benchmark(benchmark)[rung].test[:tested])
+    return make_unseen(find_benchmark(benchmark)[rung].test[:tested])
 
 
 @lru_cache(maxsize=1)
@@ -75,7 +86,7 @@ def make_streams(benchmark: str, rung: str, size: int, count: int, agent: str) -
         count: number of streams; where rooms are fewer, several are the same.
         agent: by label, says what is chosen among; objects are observed.
     """
-    return stream_rooms(load_benchmark(benchmark)[rung].train[:size], count, agent)
+    return stream_rooms(find_benchmark(benchmark)[rung].train[:size], count, agent)
 
 
 def stream_rooms(rooms: InstanceSet, count: int, agent: str, observation: str = "objects") -> Streams:

@@ -28,8 +28,8 @@ RECOMMENDED = (
     ),
     Recommendation(
         "unseen rooms", "smdp-ppo+objects+memory", "PPO over options, with memory",
-        "Efficiency 0.76 to 0.96 in unseen rooms where marks reveal the order, after 1,000 training rooms and up to "
-        "two million primitives. The search baseline has 0.38 to 0.76. Without such marks, no gain over the search "
+        "Efficiency 0.76 to 0.96 in unseen rooms where cues reveal the order, after 1,000 training rooms and up to "
+        "two million primitives. The search baseline has 0.38 to 0.76. Without such cues, no gain over the search "
         "baseline holds in fresh rooms.",
     ),
     Recommendation(

@@ -48,9 +48,10 @@ LARGEST = 100_000_000
 
 SWEEP, SWEEP_RANDOM = "sweep", "sweep-random"
 SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK = "search-random", "search-nearest", "search-backtrack"
-SEARCH_MEMORY = "search-memory"
+SEARCH_MEMORY, COUNT_CUES = "search-memory", "count-cues"
 BAYES, ORACLE = "bayes", "oracle"
-REFERENCES = (SWEEP, SWEEP_RANDOM, SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK, SEARCH_MEMORY, BAYES, ORACLE)
+REFERENCES = (SWEEP, SWEEP_RANDOM, SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK, SEARCH_MEMORY, COUNT_CUES, BAYES,
+              ORACLE)
 """Agents that follow a fixed rule; `benchmark.references` makes them."""
 _ALONE = (*REFERENCES, TEXT_AGENT)
 """Agents that are made from a room instead of spaces and settings."""

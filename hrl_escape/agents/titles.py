@@ -12,6 +12,7 @@ _TITLES = {
     "search-nearest": "search baseline, nearest first",
     "search-backtrack": "search baseline, with backtracking",
     "search-memory": "search baseline, with memory",
+    "count-cues": "counting baseline",
     "bayes": "Bayes planner",
     "oracle": "oracle",
     "text-agent": "text agent",

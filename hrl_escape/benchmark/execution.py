@@ -14,13 +14,14 @@ import gymnasium
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent
-from hrl_escape.agents.spec import SEARCH_MEMORY, AgentSpec, OptionsView
+from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.benchmark.agent_env import find_starts, make_agent_env, make_player
 from hrl_escape.benchmark.env_spec import EnvSpec
 from hrl_escape.benchmark.grid import GridRun
 from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.records import record_returns
+from hrl_escape.benchmark.references.registry import TRAINED_IN_ROOM, TRAINED_IN_SET
 from hrl_escape.benchmark.run_results import RunResult, get_run_folder, get_training_folder
 from hrl_escape.benchmark.score_range import ScoreRange, compute_score_range
 from hrl_escape.env.instance import RoomInstance
@@ -51,11 +52,13 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     try:
         starts = find_starts(env, recorder, seeds)
         score_range = compute_score_range(starts, agent, out / "references", parts)
-        if agent.name == SEARCH_MEMORY and place.split is None:  # it trains in the room where it is tested
+        if agent.name in TRAINED_IN_ROOM and place.split is None:
             player, value = _train(run, out, env, env, None, score_range, checkpoint_seconds,
                                    make_player(agent, env, recorder))
         elif agent.is_reference:
             player: Agent = make_player(agent, env, recorder)
+            if agent.name in TRAINED_IN_SET and place.split is not None:
+                player.load_state_dict(_train_reference(run, place.split, common))
             evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=parts)
             value = RunResult.make_reference(grid.primitives, evaluation, score_range)
         elif place.split is None:
@@ -90,6 +93,20 @@ def _execute_in_env(run: GridRun, spec: EnvSpec, out: Path, checkpoint_seconds: 
                                                                   grid.primitives), None)
     finally:
         env.close()
+
+
+def _train_reference(run: GridRun, split: Split, common: CommonSpaces | None) -> dict[str, Any]:
+    """Train a reference in training rooms, and return its state."""
+    from hrl_escape.agents.training.train import train
+
+    env, recorder = make_agent_env(run.agent, split.train, run.grid.observation, common=common)
+    try:
+        player = make_player(run.agent, env, recorder)
+        train(player, env, primitives=run.grid.primitives, seed=run.seed, eval_episodes=0, progress=False,
+              observed=False)
+    finally:
+        env.close()
+    return player.state_dict()
 
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hrl_escape.agents.spec import REFERENCES, SEARCH_MEMORY, AgentSpec
+from hrl_escape.agents.spec import COUNT_CUES, REFERENCES, SEARCH_MEMORY, AgentSpec
 from hrl_escape.benchmark.grid import Grid
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.sets.room_spec import RoomSpec
@@ -16,8 +16,9 @@ def _make(name: str, description: str, agents: str, rooms: str, **numbers: Any) 
                 tuple(map(RoomSpec.parse, rooms.split())), **numbers)
 
 
-_REFERENCES = " ".join(REFERENCES)
-_FORGETFUL = " ".join(name for name in REFERENCES if name != SEARCH_MEMORY)
+_REFERENCES = " ".join(name for name in REFERENCES if name != COUNT_CUES)
+"""References for learners that train in the room where they are tested."""
+_FORGETFUL = " ".join(name for name in REFERENCES if name not in (SEARCH_MEMORY, COUNT_CUES))
 """References of the paper's figures, whose runs are published."""
 _FLAT = "random dqn@keras-rl-2019 sarsa@keras-rl-2019 ddpg@keras-rl-2019 dqn sarsa ddpg"
 # Menashe and Stone chose among meta-actions and primitives.

@@ -81,7 +81,7 @@ class Pretrained:
 
 
 def list_pretrained() -> dict[str, tuple[str, ...]]:
-    """Return the rungs with pretrained agents, such as `marks-1/told`, and the specs of these agents."""
+    """Return the rungs with pretrained agents, such as `ladder-1/chain`, and the specs of these agents."""
     found: dict[str, tuple[str, ...]] = {}
     for path in sorted(_FOLDER.glob("*/*/*.zip")):
         rung = f"{path.parent.parent.name}/{path.parent.name}"
@@ -93,7 +93,7 @@ def load_pretrained(rung: str, agent: str | AgentSpec | type[Agent] = "") -> Pre
     """Load a trained agent that comes with the package.
 
     Args:
-        rung: benchmark and rung, such as `marks-1/told`.
+        rung: benchmark and rung, such as `ladder-1/chain`.
         agent: spec of the agent, such as `smdp-ppo+objects+memory`; the rung's first one by default.
 
     Raises:

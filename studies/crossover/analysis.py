@@ -15,9 +15,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from rich.console import Console
-from scipy import optimize, stats  # pyright: ignore[reportMissingTypeStubs]
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import SEARCH_MEMORY
 from hrl_escape.env.sampling.generation import generate
@@ -33,8 +32,10 @@ from studies.tables import make_table
 
 __all__ = ["LINES", "Args", "Ratio", "SearchRun", "analyse", "estimate_ratio", "list_jobs", "measure"]
 
-FLOOR = math.log(1.02)
-"""Smallest spread of logarithms, which keeps the likelihood finite for equal ratios."""
+FLOOR = math.log(0.02)
+"""Logarithm of the smallest spread, which keeps the likelihood finite for equal ratios."""
+MEANS, SPREADS = 801, 80
+"""Points of the grid of the likelihood."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,18 +131,14 @@ def estimate_ratio(search: Sequence[float | None], learner: Sequence[float | Non
     logs = np.array([math.log(one / other) for one, _, other, _ in pairs])
     side = np.array([0 if first and second else 1 if second else -1 for _, first, _, second in pairs])
 
-    def lose(mean: float, spread: float) -> float:
-        standard = (logs - mean) / spread
-        return -float(np.sum(np.where(side == 0, stats.norm.logpdf(standard) - math.log(spread), np.where(
-            side > 0, stats.norm.logsf(standard), stats.norm.logcdf(standard)))))
-
-    def profile(mean: float) -> float:
-        found: Any = optimize.minimize_scalar(lambda spread: lose(mean, math.exp(spread)),
-                                              bounds=(math.log(FLOOR), math.log(10.0)), method="bounded")
-        return float(found.fun)
-
-    grid: NDArray[np.float64] = np.linspace(logs.min() - 4, logs.max() + 4, 401)
-    losses = np.array([profile(mean) for mean in grid])
+    means = np.linspace(logs.min() - 4, logs.max() + 4, MEANS)
+    spreads = np.geomspace(math.exp(FLOOR), 10.0, SPREADS)[:, None]
+    losses = np.full((SPREADS, MEANS), 0.0)
+    for log, own in zip(logs, side, strict=True):
+        standard = (log - means) / spreads
+        losses -= (stats.norm.logpdf(standard) - np.log(spreads) if not own else
+                   stats.norm.logsf(standard) if own > 0 else stats.norm.logcdf(standard))
+    grid, losses = means, losses.min(axis=0)  # the profile over spreads
     inside = np.flatnonzero(losses <= losses.min() + stats.chi2.ppf(level, 1) / 2)
     best = int(losses.argmin())
     ends = (0.0 if inside[0] == 0 else math.exp(grid[inside[0]]),

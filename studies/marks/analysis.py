@@ -19,13 +19,12 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.launching.local import get_fork_server
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
-from hrl_escape.sets.benchmark import load_benchmark
 from studies.figures import Theme, make_figure, write_label
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
-from studies.unseen import get_unseen, make_streams, play_agent
+from studies.unseen import find_benchmark, get_unseen, make_streams, play_agent
 
 __all__ = ["LINES", "Args", "Cell", "Kind", "MarksRun", "analyse", "gather", "measure", "run_once"]
 
@@ -88,7 +87,7 @@ def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, test
     """
     spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
     train_in = (make_streams(benchmark, name, rooms, streams, agent) if streams else
-                load_benchmark(benchmark)[name].train[:rooms])
+                find_benchmark(benchmark)[name].train[:rooms])
     efficiency, escapes = play_agent(spec, get_unseen(benchmark, name, tested), train_in, seed, primitives)
     if spec.is_reference:
         rooms = primitives = 0

@@ -19,14 +19,13 @@ from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.errors import ComparisonError
-from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.room_sequence import RoomSequence, repeat_set
 from studies.figures import Theme, make_figure, write_label
 from studies.running import StudyArgs as Args
 from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
-from studies.unseen import count_fewest
+from studies.unseen import count_fewest, find_benchmark
 
 __all__ = ["LINES", "Args", "FloorRun", "analyse", "measure", "play_towers"]
 
@@ -75,7 +74,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Play what is missing."""
     data = study.data
     benchmark, rung = data["rung"].split("/")
-    tower = repeat_set(load_benchmark(benchmark)[rung].test, data["floors"])
+    tower = repeat_set(find_benchmark(benchmark)[rung].test, data["floors"])
     known = {run.place for run in store.load()}
     for agent, repeats in ((data["searcher"], True), (data["ceiling"], False), (data["ceiling"], True)):
         if (agent, repeats, data["floors"]) not in known:

@@ -6,7 +6,6 @@ import json
 
 import pytest
 
-from benchmarks.references import measure_rung
 from hrl_escape.benchmark.rung_references import load_references
 from hrl_escape.cli import main
 from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
@@ -28,25 +27,8 @@ def test_nobody_is_above_the_ceiling_and_the_planner_above_all(name: str):
             assert -1e-9 <= own.told <= own.hidden, rung
 
 
-def test_the_regularities_of_marks_3_tell_bits_and_their_control_none():
-    known = load_references("marks-3")
-    assert known["places"].told == known["places"].hidden == pytest.approx(6.907, abs=1e-3)  # log2 of 5!
-    assert known["scattered"].told == 0 < known["deceived"].told < 6.9
-    assert known["storeys"].told == pytest.approx(6.907 - 4.585, abs=0.01), "24 orders are left, all alike"
-
-
 def test_the_list_of_rungs_has_their_references(capsys: pytest.CaptureFixture[str]):
-    assert main(["ladder", "list", "--benchmark", "marks-3", "--json"]) == 0
+    assert main(["ladder", "list", "--benchmark", "ladder-2", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rungs"]
-    assert {row["rung"]: row["references"]["search"] for row in rows} == {
-        name: own.search for name, own in load_references("marks-3").items()}
-    assert main(["ladder", "list", "--benchmark", "marks-3"]) == 0
-    assert "6.9 of 6.9" in capsys.readouterr().out
-    assert main(["ladder", "list", "--benchmark", "marks-1"]) == 0
-    assert "bits told" not in capsys.readouterr().out
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("rung", ["places", "scattered"])
-def test_published_references_are_measured_again(rung: str):
-    assert measure_rung(load_benchmark("marks-3")[rung], 64) == load_references("marks-3")[rung]
+    assert {row["rung"]: row["references"]["search"] for row in rows if row["references"]} == {
+        name: own.search for name, own in load_references("ladder-2").items()}

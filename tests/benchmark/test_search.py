@@ -276,11 +276,11 @@ def test_where_graphs_are_too_many_a_sample_has_their_odds():
             assert particles.compute_odds(lit) == pytest.approx(weights @ could_light / weights.sum(), abs=0.12)
 
 
-# --- marks -----------------------------------------------------------------------------------
+# --- cues ------------------------------------------------------------------------------------
 
 
-def make_marked(count: int, kind: GraphKind = "chain", **marks: Any) -> ButtonsConfig:
-    return ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), cues=CuesConfig("rank", **marks))
+def make_cued(count: int, kind: GraphKind = "chain", **cues: Any) -> ButtonsConfig:
+    return ButtonsConfig(count=count, graph=GraphConfig(kind=kind, max_parents=2), cues=CuesConfig("rank", **cues))
 
 
 def count_presses(family: GraphFamily) -> float:
@@ -291,8 +291,8 @@ def count_presses(family: GraphFamily) -> float:
 
 @pytest.mark.parametrize(("truth", "presses"), [(1.0, 4.0), (0.0, 7.0)])
 def test_wires_save_every_wrong_press_and_hidden_ones_none(truth: float, presses: float):
-    """A chain of n: n presses for who sees all wires, n(n + 3)/4 for who sees none."""
-    config = dataclasses.replace(make_marked(4), cues=CuesConfig("dependencies", truth=truth))
+    """A chain of n: n presses for who sees all dependency cues, n(n + 3)/4 for who sees none."""
+    config = dataclasses.replace(make_cued(4), cues=CuesConfig("dependencies", truth=truth))
     for seed in range(12):
         puzzle = config.make_puzzle(np.random.default_rng(seed))
         told = condition_on_cues(make_family(config, 4), config.cues, puzzle.cues)
@@ -302,41 +302,41 @@ def test_wires_save_every_wrong_press_and_hidden_ones_none(truth: float, presses
 
 
 def test_samples_of_many_buttons_refuse_wires():
-    config = dataclasses.replace(make_marked(7), cues=CuesConfig("dependencies"))
-    marks = config.make_puzzle(np.random.default_rng(0)).marks
-    with pytest.raises(UnsupportedError, match="wires between 7 buttons"):
-        GraphParticles(config, 7, np.random.default_rng(0), marks)
+    config = dataclasses.replace(make_cued(7), cues=CuesConfig("dependencies"))
+    cues = config.make_puzzle(np.random.default_rng(0)).cues
+    with pytest.raises(UnsupportedError, match="dependency cues of 7 buttons"):
+        GraphParticles(config, 7, np.random.default_rng(0), cues)
 
 
 @pytest.mark.parametrize("truth", [1.0, 0.8, 0.4, 0.0])
 def test_marks_are_worth_what_follows_by_hand(truth: float):
-    """Two buttons in a chain, a symbol a rank: 2 + (1 - truth)/2 presses in the mean over all marks, 2.5 without."""
-    config = make_marked(2, levels=2, symbols=2, truth=truth)
+    """Two buttons in a chain, a symbol a rank: 2 + (1 - truth)/2 presses in the mean over all cues, 2.5 without."""
+    config = make_cued(2, levels=2, symbols=2, truth=truth)
     family = make_family(config, 2)
     expected = 0.0
-    for marks in itertools.product(range(2), repeat=2):
+    for cues in itertools.product(range(2), repeat=2):
         ranks = np.array([[0, 1] if goal == 1 else [1, 0] for goal in family.goals])
-        likelihood = config.cues.compute_likelihood(marks, ranks).mean()
+        likelihood = config.cues.compute_likelihood(cues, ranks).mean()
         if likelihood:
-            expected += likelihood * count_presses(condition_on_cues(family, config.cues, marks))
+            expected += likelihood * count_presses(condition_on_cues(family, config.cues, cues))
     assert expected == pytest.approx(2 + (1 - truth) / 2)
 
 
-@pytest.mark.parametrize(("motifs", "presses"), [(1, 3.0), (2, 3.5), (6, 4.5)])
-def test_motifs_cost_the_presses_that_find_out_which_holds(motifs: int, presses: float):
+@pytest.mark.parametrize(("codes", "presses"), [(1, 3.0), (2, 3.5), (6, 4.5)])
+def test_latent_codes_cost_the_presses_that_find_out_which_holds(codes: int, presses: float):
     """Three in a chain: one press fails in half of the rooms if two orders are possible; all six tell nothing."""
-    rules = CuesConfig("rank", levels=3, symbols=9, latent_codes=motifs)
-    family = make_family(make_marked(3, levels=3, symbols=9), 3)
-    marks = rules.draw(3, ((0, 1), (1, 2)), 2, np.random.default_rng(0))
-    assert count_presses(condition_on_cues(family, rules, marks)) == pytest.approx(presses)
-    with pytest.raises(UnsupportedError, match="latent codes with") if motifs > 1 else nullcontext():
-        GraphParticles(make_marked(7, levels=3, symbols=9, latent_codes=motifs), 7, np.random.default_rng(0), (0,) * 7)
+    rules = CuesConfig("rank", levels=3, symbols=9, latent_codes=codes)
+    family = make_family(make_cued(3, levels=3, symbols=9), 3)
+    cues = rules.draw(3, ((0, 1), (1, 2)), 2, np.random.default_rng(0))
+    assert count_presses(condition_on_cues(family, rules, cues)) == pytest.approx(presses)
+    with pytest.raises(UnsupportedError, match="latent codes with") if codes > 1 else nullcontext():
+        GraphParticles(make_cued(7, levels=3, symbols=9, latent_codes=codes), 7, np.random.default_rng(0), (0,) * 7)
 
 
 @pytest.mark.parametrize(("levels", "presses"), [(5, 5.0), (2, 1 + 4 * 7 / 4)])
 def test_true_marks_leave_a_chain_its_buttons_or_the_rest_of_its_search(levels: int, presses: float):
     """Five ranks tell all; two tell the first button, and the four others take 4 x 7/4 presses as ever."""
-    config = make_marked(5, levels=levels, symbols=5)
+    config = make_cued(5, levels=levels, symbols=5)
     puzzle = config.make_puzzle(np.random.default_rng(1))
     family = make_family(config, 5)
     told = condition_on_cues(family, config.cues, puzzle.cues)
@@ -348,7 +348,8 @@ def test_true_marks_leave_a_chain_its_buttons_or_the_rest_of_its_search(levels: 
 def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
     sections, shape = PositionalCuesConfig(sections=6, code=1), ShapeConfig(width=9, depth=9)
     for kind, chances in (("chain", 1), ("tree", None)):
-        puzzle = ButtonsConfig(count=4, graph=GraphConfig(kind=kind), buttons=Panels(width=0.8), positional_cues=sections)
+        puzzle = ButtonsConfig(count=4, graph=GraphConfig(kind=kind), buttons=Panels(width=0.8),
+                               positional_cues=sections)
         config = RoomConfig(room=shape, robot=RobotConfig(body_radius=0.3), puzzle=puzzle)
         rooms = InstanceSet("places", config, range(4))
         for room in rooms:
@@ -367,8 +368,8 @@ def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
 def test_the_bits_of_marks_follow_by_hand():
     """Three in a chain have log2(6) bits: two orders leave one of them, truth 0 leaves all."""
     every = np.log2(6)
-    for changes, left in (({}, 0.0), ({"motifs": 2}, 1.0), ({"truth": 0.0}, every), ({"shuffled": True}, every)):
-        config = dataclasses.replace(make_marked(3, levels=3, symbols=9), cues=CuesConfig(
+    for changes, left in (({}, 0.0), ({"latent_codes": 2}, 1.0), ({"truth": 0.0}, every), ({"shuffled": True}, every)):
+        config = dataclasses.replace(make_cued(3, levels=3, symbols=9), cues=CuesConfig(
             "rank", levels=3, symbols=9, **changes))
         rooms = InstanceSet("bits", RoomConfig(room=ShapeConfig(width=9, depth=9), puzzle=config), range(3))
         assert measure_information(config, rooms) == pytest.approx((every - left, every))
@@ -376,9 +377,9 @@ def test_the_bits_of_marks_follow_by_hand():
 
 def test_two_buttons_touched_at_once_confuse_no_belief():
     """Button 1 lights and lets button 3 light in one move: of two at once the lower number counts first."""
-    config = load_benchmark("marks-2")["motifs"].config
-    marks = dataclasses.replace(config.puzzle.cues, latent_codes=2)
-    rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, cues=marks)),
+    config = load_benchmark("cues-1")["latent-codes"].config
+    cues = dataclasses.replace(config.puzzle.cues, latent_codes=2)
+    rooms = InstanceSet("", dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, cues=cues)),
                         [699512341362768345])
     env, recorder = make_agent_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     assert evaluate(make_reference(BAYES, env, recorder), env, 1).successes == (True,)
@@ -407,7 +408,7 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
 @pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("dependencies", 120)])
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
-    rooms = load_benchmark("marks-4")[rung].test[:1]
+    rooms = load_benchmark("cues-1")[rung].test[:1]
     env, recorder = make_agent_env(AgentSpec(BAYES), rooms, "features", {"0": 0})
     baseline: Any = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
@@ -421,7 +422,7 @@ def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_
 def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
     rng = np.random.default_rng(3)
     for truth in (1.0, 0.7):
-        config = make_marked(5, "layered", levels=4, symbols=12, truth=truth)
+        config = make_cued(5, "layered", levels=4, symbols=12, truth=truth)
         for _ in range(3):
             puzzle = config.make_puzzle(rng)
             family = condition_on_cues(make_family(config, 5), config.cues, puzzle.cues)
@@ -434,9 +435,9 @@ def test_a_sample_of_graphs_believes_marks_as_the_list_of_all_does():
 def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatch: pytest.MonkeyPatch):
     lengths = {}
     for shuffled in (False, True):
-        marks = CuesConfig("rank", levels=4, symbols=20, shuffled=shuffled)
+        cues = CuesConfig("rank", levels=4, symbols=20, shuffled=shuffled)
         config = RoomConfig(room=ShapeConfig(width=10, depth=10), robot=RobotConfig(body_radius=0.4),
-                            puzzle=ButtonsConfig(count=4, cues=marks, buttons=Panels(width=1.0)))
+                            puzzle=ButtonsConfig(count=4, cues=cues, buttons=Panels(width=1.0)))
         monkeypatch.setattr(bayes, "find_own_config", lambda room, config=config: config)
         rooms = [generate(config, seed) for seed in range(5)]
         lengths[shuffled] = np.mean([play(BAYES, room)[0].mean() for room in rooms])

@@ -27,7 +27,7 @@ from tests.command_line import assert_refused
     ("room --preset larg-2019 --arguments size=4 seed=3 --seed 2", "write --room 'larg-2019(size=4, seed=3)#2'"),
     ("room --config my-config.toml --seed 2", "write --room my-config.toml#2"),
     ("mcp --rung lattice --room test#3", "write --room ladder-1/lattice/test#3"),
-    ("mcp --rung told --benchmark marks-1", "write --room marks-1/told/test#0"),
+    ("mcp --rung colours --benchmark cues-1", "write --room cues-1/colours/test#0"),
     ("train dqn --seed 3", "write --room paper-two-button#3 for this room, or --room paper-two-button --seed 3"),
     ("train dqn --preset clutter --seed 3", "write --room clutter#3"),
     ("train dqn --preset clutter --seed 3 --training-seed 7", "write --room clutter#3 --seed 7"),

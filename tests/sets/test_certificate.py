@@ -130,7 +130,7 @@ def test_tasks_held_out_are_decided_by_their_hash():
 
 
 def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
-    assert list_benchmarks() == ("ladder-1", "ladder-2", "marks-1", "marks-2", "marks-3", "marks-4")
+    assert list_benchmarks() == ("cues-1", "families-1", "ladder-1", "ladder-2")
     bench = load_benchmark("ladder-1")
     assert [rung.name for rung in bench] == [
         "doormat", "pair", "reach", "chain-3", "chain-4", "doors", "chain", "lattice-5", "drift", "code", "freight",
@@ -172,9 +172,8 @@ def test_the_easiest_rungs_verify():
 def test_rungs_of_every_kind_verify():
     """All rungs, seven minutes of a core: `hrl-escape ladder verify`."""
     load_benchmark("ladder-1").verify(["reach", "doors", "freight", "lattice"])
-    load_benchmark("marks-1").verify()
-    load_benchmark("marks-2").verify()
-    load_benchmark("marks-3").verify(["storeys"])
+    load_benchmark("cues-1@3").verify()
+    load_benchmark("families-1@5").verify(["ignore-6", "reset-10-control"])
     load_benchmark("ladder-2").verify()
 
 

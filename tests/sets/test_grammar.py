@@ -90,7 +90,7 @@ def test_each_form_takes_changes(tmp_path):
 def test_sequences_repeat_a_set_or_join_several():
     joined = find_rooms("clutter#0..4 + ten-button#0..4")
     assert isinstance(joined, RoomSequence) and [list(rooms.seeds) for rooms in joined.sets] == [[0, 1, 2, 3]] * 2
-    repeated = find_rooms("marks-2/motifs/test#0..32 x 3")
+    repeated = find_rooms("cues-1/latent-codes/test#0..32 x 3")
     assert isinstance(repeated, RoomSequence) and repeated.paired and len(repeated.sets) == 3
     assert joined.name == "clutter#0..4 and 1 more"
 
@@ -230,7 +230,7 @@ def test_the_id_makes_vector_environments_of_a_set_too():
 @pytest.mark.parametrize(("old", "new"), [
     ("clutter#3", "clutter#3"), ("clutter#0..15", "clutter#0..16"), ("ladder-1/chain/test[3]", "ladder-1/chain/test#3"),
     ("ladder-1/chain/train[:64]", "ladder-1/chain/train#0..64"),
-    ("marks-3/places/train[:8] x 3", "marks-3/places/train#0..8 x 3"),
+    ("ladder-1/chain/train[:8] x 3", "ladder-1/chain/train#0..8 x 3"),
     ("clutter#0..15 + ten-button#0..15", "clutter#0..16 + ten-button#0..16"),
     ({"preset": "larg-2019", "arguments": {"size": 4}, "config": None, "file": None, "set": None, "seed": 2},
      "larg-2019(size=4)#2"),

@@ -46,10 +46,10 @@ def test_names_of_buttons_are_no_part_of_the_task():
 
 
 def test_marks_are_part_of_the_room_and_no_part_of_its_task():
-    """They show the order of presses and do not change it: else held-out tasks would come again under other marks."""
-    room = load_benchmark("marks-2")["motifs"].train[0]
-    bare, turned = (dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, cues=marks))
-                    for marks in ((), room.puzzle.cues[::-1]))
+    """They show the order of presses and do not change it: else held-out tasks would come again under other cues."""
+    room = load_benchmark("cues-1")["latent-codes"].train[0]
+    bare, turned = (dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, cues=cues))
+                    for cues in ((), room.puzzle.cues[::-1]))
     marked, other, none = map(compute_keys, (room, turned, bare))
     assert room.puzzle.cues and marked.task == other.task == none.task
     assert len({marked.content, other.content, none.content}) == 3

@@ -100,7 +100,7 @@ def test_of_layouts_seen_the_first_that_looks_alike_is_named():
 @pytest.mark.nightly
 def test_a_new_benchmark_is_frozen_with_the_latest_layouts_and_published_ones_keep_theirs():
     assert make_manifest().layouts == LATEST_LAYOUTS == 2
-    assert {load_benchmark(name).manifest.layouts for name in ("ladder-1", "marks-1")} == {1}
+    assert load_benchmark("ladder-1").manifest.layouts == 1
     old = dataclasses.replace(make_manifest(), layouts=1)
     assert freeze_manifest(old, "0").layouts == 1
     rooms = Benchmark(make_manifest())["one"].train[:2]

@@ -1,4 +1,4 @@
-"""Nothing seen before the first press tells of the hidden graph, beyond what marks and sections are meant to tell."""
+"""Nothing seen before the first press tells of the hidden graph, beyond what cues are meant to show."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from hrl_escape.sets.instance_set import InstanceSet
 COUNT, LEVELS, NO_SECTIONS = 4, 4, PositionalCuesConfig()
 
 
-def make_set(marks: CuesConfig, rooms: int, sections: PositionalCuesConfig = NO_SECTIONS) -> InstanceSet:
-    kind = "layered" if cues.latent_codes == 1 else "chain"  # which classes a room shows would tell which motif it has
+def make_set(cues: CuesConfig, rooms: int, sections: PositionalCuesConfig = NO_SECTIONS) -> InstanceSet:
+    kind = "layered" if cues.latent_codes == 1 else "chain"  # which classes a room shows would reveal its code
     config = RoomConfig(
         room=ShapeConfig(width=7, depth=7), robot=RobotConfig(body_radius=0.3, turn_step_deg=90.0),
         puzzle=ButtonsConfig(count=COUNT, graph=GraphConfig(kind=kind, max_parents=2), buttons=Panels(width=0.8),
-                             cues=marks, positional_cues=sections))
+                             cues=cues, positional_cues=sections))
     return InstanceSet("leaks", config, list(range(rooms)))
 
 
@@ -47,7 +47,8 @@ def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], ND
     that are not kept. Every room is entered once by number, in an order that says nothing.
     """
     env = rooms.make_env(options=True, observation="objects")
-    width, rules, sections = len(env.observation_space.words), rooms.config.puzzle.cues, rooms.config.puzzle.positional_cues
+    width, puzzle_config = len(env.observation_space.words), rooms.config.puzzle
+    rules, sections = puzzle_config.cues, puzzle_config.positional_cues
     kept = [number for number, word in enumerate(env.observation_space.words) if word not in CUE_WORDS]
     found, depths, classes = [], [], []
     for index in np.random.default_rng(0).permutation(len(rooms)).tolist():
@@ -67,10 +68,10 @@ def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], ND
 
 def find_leaks(numbers: NDArray[np.float64], depths: NDArray[np.int64], classes: NDArray[np.int64],
                permutations: int = 200) -> list[int]:
-    """Numbers that tell of depth, given the marks: mutual information above that of all permutations.
+    """Numbers that tell of depth, given the cues: mutual information above that of all permutations.
 
     A number is cut into eighths, of its value and of its rank in its room. Depths are permuted among the buttons that
-    show a mark of the same class, so what marks tell stays as it is.
+    show a cue of the same class, so what cues show stays as it is.
     """
     rng, shape = np.random.default_rng(1), depths.shape
     stratum = classes.ravel()
@@ -103,16 +104,16 @@ def measure(depths: NDArray[np.int64], cells: NDArray[np.int64], stratum: NDArra
 
 
 DECEPTIVE = CuesConfig("rank", levels=LEVELS, symbols=8, truth=0.5)
-MOTIFS = CuesConfig("rank", levels=LEVELS, symbols=32, latent_codes=3)
-REGULARITIES = {"bare": (CuesConfig(),), "deceptive": (DECEPTIVE,), "motifs": (MOTIFS,),
+CODES = CuesConfig("rank", levels=LEVELS, symbols=32, latent_codes=3)
+REGULARITIES = {"bare": (CuesConfig(),), "deceptive": (DECEPTIVE,), "latent codes": (CODES,),
                 "places": (CuesConfig(), PositionalCuesConfig(sections=8))}
 
 
 @cache
 def look_at(kind: str, rooms: int = 250) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """What rooms of a regularity show; the same for all tests."""
-    marks, *sections = REGULARITIES[kind]
-    return look(make_set(marks, rooms, *sections))
+    cues, *sections = REGULARITIES[kind]
+    return look(make_set(cues, rooms, *sections))
 
 
 def check(kind: str, rooms: int, permutations: int = 200) -> None:
@@ -146,10 +147,10 @@ def test_planted_leaks_are_seen():
         changed = numbers.copy()
         changed[..., number] = values
         assert number in find_leaks(changed, depths, classes), number
-    motifs, depths_of_motifs, symbols = look_at("motifs")
-    motifs = motifs.copy()
-    motifs[..., 5] = MOTIFS.orders[1][symbols] == depths_of_motifs  # one that lights where a motif holds
-    assert 5 in find_leaks(motifs, depths_of_motifs, symbols)
+    coded, depths_of_codes, symbols = look_at("latent codes")
+    coded = coded.copy()
+    coded[..., 5] = CODES.orders[1][symbols] == depths_of_codes  # one that lights where a code holds
+    assert 5 in find_leaks(coded, depths_of_codes, symbols)
     told = numbers.copy()
-    told[..., 5] = classes  # what marks tell is no leak
+    told[..., 5] = classes  # what cues show is no leak
     assert 5 not in find_leaks(told, depths, classes)

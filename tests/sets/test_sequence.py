@@ -249,7 +249,7 @@ def find_code(room):
 
 
 @pytest.mark.nightly
-def test_floors_that_repeat_have_one_motif_and_other_rooms():
+def test_repeated_sets_have_one_latent_code_and_other_rooms():
     tower = repeat_set(SAME, 3)
     assert tower.paired and len({len(floor) for floor in tower.sets}) == 1 and len(tower.sets[0]) > 30
     seeds = np.array([floor.seeds for floor in tower.sets])
@@ -292,9 +292,9 @@ def test_the_ceiling_needs_no_search_on_the_second_floor_and_all_of_it_where_not
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("marks-2/words/test#0..8 x 2", "requires cues with latent codes"),
-    ("marks-2/motifs/test#0..8 x 1", "2 to 1,000 rooms"),
-    ("marks-2/motifs/test#0..2 x 5", "needs 5 rooms of one latent code")])
+    ("cues-1/symbols/test#0..8 x 2", "requires cues with latent codes"),
+    ("cues-1/latent-codes/test#0..8 x 1", "2 to 1,000 rooms"),
+    ("cues-1/latent-codes/test#0..2 x 5", "needs 5 rooms of one latent code")])
 def test_sets_that_cannot_repeat_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         find_sets(text)

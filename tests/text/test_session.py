@@ -252,7 +252,7 @@ def test_every_door_is_told_as_it_is_and_when_it_opens():
 
 
 def test_marks_are_told_and_a_failed_puzzle_too():
-    rooms = load_benchmark("marks-4")
+    rooms = load_benchmark("cues-1")
     wired = rooms["dependencies"].train[0]
     said = make_session(wired).reset()
     for target, mark in zip(wired.targets, wired.puzzle.cues, strict=True):

@@ -8,11 +8,13 @@
 | `search-nearest` | the same, the nearest first | lights, positions |
 | `search-backtrack` | the same, and returns by known presses to a state with untried buttons | lights, positions |
 | `search-memory` | searches, then repeats and shortens its escape from the room | lights, positions, earlier episodes |
+| `count-cues` | tries buttons by the cues of the next button in training rooms | lights, positions, training rooms |
 | `bayes` | minimises expected primitives over the possible graphs | lights, positions, room configuration |
 | `oracle` | follows the best known plan | everything |
 
 `search-memory` remembers earlier episodes in a room. Compare learners that train in the room where they are tested with
-it; it supports button puzzles. The other search baselines forget everything at the end of an episode. The Bayes planner
+it; it supports button puzzles. `count-cues` learns in training rooms: compare learners that are tested in unseen rooms
+with it. The other search baselines forget everything at the end of an episode. The Bayes planner
 is given how rooms are drawn.
 """
 
@@ -25,6 +27,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import FixedPolicy
 from hrl_escape.agents.spec import (
     BAYES,
+    COUNT_CUES,
     ORACLE,
     SEARCH_BACKTRACK,
     SEARCH_MEMORY,
@@ -35,6 +38,7 @@ from hrl_escape.agents.spec import (
 )
 from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
 from hrl_escape.benchmark.references.bayes import BayesPlanner
+from hrl_escape.benchmark.references.count_cues import CountCues
 from hrl_escape.benchmark.references.search import (
     PlanFollower,
     Reference,
@@ -49,7 +53,8 @@ from hrl_escape.sets.sequence import SequenceEnv
 
 _RULES: dict[str, type[Reference]] = {
     SWEEP: Sweep, SWEEP_RANDOM: SweepRandom, SEARCH_RANDOM: SearchRandom, SEARCH_NEAREST: SearchNearest,
-    SEARCH_BACKTRACK: SearchBacktrack, SEARCH_MEMORY: SearchMemory, BAYES: BayesPlanner, ORACLE: PlanFollower,
+    SEARCH_BACKTRACK: SearchBacktrack, SEARCH_MEMORY: SearchMemory,
+    COUNT_CUES: CountCues, BAYES: BayesPlanner, ORACLE: PlanFollower,
 }
 SWEEP_BASELINES = (SWEEP, SWEEP_RANDOM)
 """Search baselines that press buttons in the order of their numbers."""
@@ -57,6 +62,10 @@ SEARCH_METHODS = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
 """Search baselines that read which buttons are on, and forget everything after an episode."""
 SEARCH_BASELINES = (*SWEEP_BASELINES, *SEARCH_METHODS, SEARCH_MEMORY)
 """References that are given neither the dependency graph nor how rooms are drawn."""
+
+
+TRAINED_IN_ROOM, TRAINED_IN_SET = (SEARCH_MEMORY,), (COUNT_CUES,)
+"""References that comparisons train: in the room where they are tested, and in training rooms."""
 
 
 def describe_rule(name: str) -> str:

@@ -270,8 +270,12 @@ class SearchBacktrack(SearchBaseline):
                 if ways[best] and ways[best][0] in legal:
                     return ways[best][0]
                 if not ways[best]:
-                    return min(self._list_untried(here, legal, only_dark), key=lambda a: self._measure(a, state))
+                    return self._pick(self._list_untried(here, legal, only_dark), state)
         return legal[int(rng.integers(len(legal)))]
+
+    def _pick(self, untried: Sequence[int], state: RoomState) -> int:
+        """Return the untried action to take: the nearest by straight-line distance."""
+        return min(untried, key=lambda action: self._measure(action, state))
 
     def _find_ways(self, here: Hashable) -> dict[Hashable, tuple[int, ...]]:
         """Return the shortest known action sequences to all reachable patterns."""

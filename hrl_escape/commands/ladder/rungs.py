@@ -91,7 +91,7 @@ class ShowArgs:
     """Options of `hrl-escape ladder show`."""
 
     rung: Annotated[str, tyro.conf.Positional]
-    """Name of the rung, with another benchmark in front: marks-1/told."""
+    """Name of the rung, with another benchmark in front: cues-1@7/colours."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     role: Role = "train"
@@ -111,7 +111,7 @@ def run_show(args: ShowArgs) -> None:
 
     Examples:
         hrl-escape ladder show lattice
-        hrl-escape ladder show marks-1/told
+        hrl-escape ladder show cues-1@7/colours
         hrl-escape ladder show clutter --role test --index 3 --draw room.svg --save room.json
     """
     benchmark, _, name = args.rung.rpartition("/")

@@ -29,7 +29,7 @@ PROP, PROP_EDGE, PLATE = "#8e6bb0", "#5d4380", "#cdbfe0"
 INK, MUTED = "#22262e", "#7b818c"
 LOCK = "#d55e00"
 TRAIL = "#0072b2"
-MARKS = ("#d62728", "#2f6db5", "#2ca02c", "#f0d000", "#8e44ad", "#17becf", "#f08c2e", "#22262e")
+CUE_COLOURS = ("#d62728", "#2f6db5", "#2ca02c", "#f0d000", "#8e44ad", "#17becf", "#f08c2e", "#22262e")
 """Colours of cues, in the order of their numbers."""
 
 
@@ -82,7 +82,7 @@ def list_cues(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
         colour, shape, size = split_cue(cue)
         turns = [math.tau * (number / corners[shape] + 0.25) for number in range(corners[shape])]
         radii = [(0.4, 0.7, 1.0)[size] * (0.42 if shape == 3 and number % 2 else 1.0) for number in range(len(turns))]
-        found.append((MARKS[colour], [(radius * math.cos(turn), radius * math.sin(turn))
+        found.append((CUE_COLOURS[colour], [(radius * math.cos(turn), radius * math.sin(turn))
                                       for radius, turn in zip(radii, turns, strict=True)]))
     return found
 

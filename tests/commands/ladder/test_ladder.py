@@ -40,10 +40,10 @@ def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):
 
 @pytest.mark.nightly
 def test_a_rung_is_known_by_the_name_that_other_commands_give_it(capsys):
-    code, out, _ = call(capsys, "show", "marks-1/told")
-    assert code == 0 and load_benchmark("marks-1")["told"].record.test.root in out
-    code, _, err = call(capsys, "show", "marks-1/told", "--benchmark", "marks-2")
-    assert code == 2 and "--benchmark does not go with marks-1/told" in err and err.count("\n") == 1
+    code, out, _ = call(capsys, "show", "cues-1/colours")
+    assert code == 0 and load_benchmark("cues-1")["colours"].record.test.root in out
+    code, _, err = call(capsys, "show", "cues-1/colours", "--benchmark", "ladder-1")
+    assert code == 2 and "--benchmark does not go with cues-1/colours" in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(("protocol", "option", "value", "suits"), [

@@ -1,0 +1,229 @@
+"""Counting baseline across rooms: the bar for learners that are tested in unseen rooms.
+
+In training rooms it searches until it escapes, and counts which cues the next button had, out of the buttons that were
+off. Cues of a button are its symbol, the direction of its place, its symbol together with that of the button turned on
+before, its plug together with that button's colour, and its number together with that button's number, each by the
+place in the order where that helps. In an unseen room it searches with backtracking and tries buttons by their odds
+and their distance. A kind of cue counts only if it predicts the training rooms that are left out, one at a time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.benchmark.episodes import StateRecorder
+from hrl_escape.benchmark.references.search import SearchBacktrack
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.cues import split_cue
+from hrl_escape.errors import UnsupportedError
+
+KINDS = ("symbol", "direction", "symbols", "plug", "number")
+"""Kinds of cues that are counted."""
+SECTORS = 16
+"""Directions from the middle of the floor that are distinguished."""
+PRIOR = 1.0
+"""Weight of the odds without cues, in buttons."""
+MOST_ROOMS = 1_000
+"""Training rooms that are counted."""
+
+Step = list[tuple[tuple[str, ...], bool]]
+"""Buttons that were off at a step of an order: their cues, one of each kind, and whether the button was next."""
+
+
+@dataclasses.dataclass
+class _Count:
+    """Times that buttons with a cue were off, and were next."""
+
+    off: float = 0.0
+    next: float = 0.0
+
+
+class CountCues(SearchBacktrack):
+    """Counting baseline: learns in training rooms which cues the next button has.
+
+    `act` searches and learns; `act_greedy` acts by the counts. The first decision raises `UnsupportedError` for puzzles
+    other than buttons.
+    """
+
+    RULE = "tries the buttons whose cues were next most often in training rooms, by odds and distance"
+    STATE = ("counted", "_rng")
+
+    def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
+        super().__init__(env, recorder)
+        self._steps: dict[str, list[Step]] = {}  # steps of the order that escaped from each training room
+        self._losses: list[float] = []  # primitives lost by each wrong press
+        self._memories: dict[str, tuple[dict[Any, Any], dict[Any, Any]]] = {}  # of rooms without an escape yet
+        self._lit: list[int] = []  # targets that are on, in order
+        self._is_learning = False
+        self._kinds: tuple[int, ...] | None = None
+        self._counts: dict[str, _Count] = {}
+
+    @property
+    def counted(self) -> Mapping[str, Any]:
+        """What training has found out, as plain values."""
+        return {"steps": {room: [[[list(cues), is_next] for cues, is_next in step] for step in steps]
+                          for room, steps in self._steps.items()}, "losses": list(self._losses)}
+
+    @counted.setter
+    def counted(self, value: Mapping[str, Any]) -> None:
+        self._steps = {room: [[(tuple(cues), bool(is_next)) for cues, is_next in step] for step in steps]
+                       for room, steps in value["steps"].items()}
+        self._losses, self._kinds, self._memories = list(value["losses"]), None, {}
+
+    @property
+    def rooms(self) -> int:
+        """Number of training rooms that it has escaped from."""
+        return len(self._steps)
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Choose an action of a training episode."""
+        self._is_learning = True
+        return super().act_greedy(observation, action_mask, self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Choose an action by what was counted."""
+        self._is_learning = False
+        return super().act_greedy(observation, action_mask, rng)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Count the order of a training room at its first escape."""
+        if not (transition.terminated or transition.truncated):
+            return {}
+        states, room = self._recorder.states, self._room.instance.id
+        self._read_on(states)
+        self._chosen = None
+        if transition.terminated and self._puzzle.is_solved(states[-1].puzzle):
+            if room not in self._steps and len(self._steps) < MOST_ROOMS:
+                self._steps[room], self._kinds = self._list_steps(self._lit), None
+            self._memories.pop(room, None)
+        else:
+            if transition.terminated:
+                self._losses.append(float(self._room.instance.horizon))
+            self._memories[room] = self._known, self._states
+        return {}
+
+    def _begin(self, is_new: bool) -> None:
+        room = self._room.instance
+        if not isinstance(room.puzzle, ButtonsPuzzle):
+            raise UnsupportedError(f"count-cues supports button puzzles; {room.name} has a puzzle of kind "
+                                   f"{room.puzzle.kind!r}. Take search-backtrack")
+        super()._begin(is_new)
+        if self._is_learning and room.id in self._memories:
+            self._known, self._states = self._memories[room.id]
+        self._lit = []
+        if self._kinds is None:
+            self._kinds = _choose_kinds(list(self._steps.values()))
+            self._counts = _count(self._steps.values(), self._kinds)
+
+    def _note(self, action: int, before: RoomState, after: RoomState) -> None:
+        super()._note(action, before, after)
+        was, now = (self._puzzle.get_lit(state.puzzle) for state in (before, after))
+        target, *_ = self._options[action].targets
+        if any(old and not new for old, new in zip(was, now, strict=True)):
+            if self._is_learning:
+                self._losses.append(float(len(self._recorder.states)))
+            self._lit = []
+        elif now[target] and not was[target]:
+            self._lit.append(target)
+        elif not now[target] and self._is_learning:
+            self._losses.append(0.0)
+
+    def _list_steps(self, order: Sequence[int]) -> list[Step]:
+        """Return the buttons that were off at each step of an order, with their cues."""
+        return [[(self._read_cues(target, order[:place]), target == order[place])
+                 for target in range(self._puzzle.count) if target not in order[:place]]
+                for place in range(len(order))]
+
+    def _read_cues(self, target: int, before: Sequence[int]) -> tuple[str, ...]:
+        """Return the cue of each of `KINDS` of a button after others were turned on."""
+        room, place = self._room.instance, len(before)
+        turn = math.atan2(room.targets[target].y, room.targets[target].x) % math.tau / math.tau
+        cues, last = room.puzzle.cues, before[-1] if before else None
+        symbol = str(cues[target]) if cues else ""
+        plug, colour, previous = "", "", ""
+        if cues:
+            _, shape, size = split_cue(cues[target])
+            plug = f"{shape},{size}"
+            if last is not None:
+                colour, previous = str(split_cue(cues[last])[0]), str(cues[last])
+        parts = (f"{place} {symbol}", f"{place} {int(turn * SECTORS)}", f"{previous}>{symbol}", f"{colour}>{plug}",
+                 f"{'' if last is None else last}>{target}")
+        return tuple(f"{kind}:{part}" for kind, part in zip(KINDS, parts, strict=True))
+
+    def _pick(self, untried: Sequence[int], state: RoomState) -> int:
+        if not self._kinds:
+            return super()._pick(untried, state)
+        off = [target for target in range(self._puzzle.count) if target not in self._lit]
+        odds = _compute_odds([self._read_cues(target, self._lit) for target in off], self._counts, self._kinds)
+        open_ = {action: odds[off.index(self._options[action].targets[0])]
+                 for action in untried if self._options[action].targets[0] in off}
+        if not open_:
+            return super()._pick(untried, state)
+        total = sum(open_.values())
+        loss = float(np.mean(self._losses)) if self._losses else 0.0
+        step = self._room.instance.robot.move_step
+
+        def expect(action: int) -> float:
+            """Primitives for each light: the way, and what a wrong press loses."""
+            share = open_[action] / total
+            return (self._measure(action, state) / step + 1.0 + (1.0 - share) * loss) / share
+
+        return min(open_, key=expect)
+
+    def _describe(self, action: int, state: RoomState) -> str:
+        return self._tell(action in self._known.get(self._get_pattern(state), {}), action, state)
+
+    def _get_pattern(self, state: RoomState) -> Hashable:
+        return self._puzzle.observe(state.puzzle)
+
+
+def _count(rooms: Iterable[Sequence[Step]], kinds: Sequence[int]) -> dict[str, _Count]:
+    """Count how often buttons with each cue were off, and were next."""
+    found: dict[str, _Count] = {}
+    for step in itertools.chain.from_iterable(rooms):
+        for cues, is_next in step:
+            for kind in kinds:
+                count = found.setdefault(cues[kind], _Count())
+                count.off += 1.0
+                count.next += float(is_next)
+    return found
+
+
+def _compute_odds(off: Sequence[Sequence[str]], counts: Mapping[str, _Count], kinds: Sequence[int],
+                  left_out: Mapping[str, _Count] | None = None) -> list[float]:
+    """Return the probability that each button is next, by counts without those of a room that is left out."""
+    base, weights, none = 1.0 / len(off), [], _Count()
+    for cues in off:
+        weight = 1.0
+        for kind in kinds:
+            count, without = counts.get(cues[kind], none), (left_out or {}).get(cues[kind], none)
+            weight *= (count.next - without.next + PRIOR * base) / (count.off - without.off + PRIOR) / base
+        weights.append(weight)
+    total = sum(weights)
+    return [weight / total for weight in weights]
+
+
+def _choose_kinds(rooms: Sequence[Sequence[Step]]) -> tuple[int, ...]:
+    """Return the kinds of cues that predict the next button best in rooms that are left out, one at a time."""
+    best, most = (), sum(math.log(1.0 / len(step)) for room in rooms for step in room)
+    for size in (1, 2):
+        for kinds in itertools.combinations(range(len(KINDS)), size):
+            counts, total = _count(rooms, kinds), 0.0
+            for room in rooms:
+                own = _count([room], kinds)
+                for step in room:
+                    odds = _compute_odds([cues for cues, _ in step], counts, kinds, own)
+                    total += math.log(next(each for each, (_, is_next) in zip(odds, step, strict=True) if is_next))
+            if total > most:
+                best, most = kinds, total
+    return best
