@@ -1,6 +1,6 @@
 """Leaderboard: make a result file, check one by replay, write the page.
 
-    python -m benchmarks.leaderboard run search-nearest --card card.toml --benchmark marks-1 --rung told --out new.json
+    python -m benchmarks.leaderboard run search-nearest --card card.toml --rung colours --out new.json
     python -m benchmarks.leaderboard check new.json
     python -m benchmarks.leaderboard page
 
@@ -37,9 +37,9 @@ class Run:
     """Name of a reference, folder of a program, or folder of a training run."""
     card: Path = Path("card.toml")
     """Card of the agent."""
-    benchmark: str = "marks-1"
+    benchmark: str = "cues-1@0"
     """Benchmark that comes with the package, or a manifest file."""
-    rung: str = "told"
+    rung: str = "colours"
     """Rung whose test rooms the agent plays."""
     rooms: int | None = None
     """Test rooms, from the first; all by default, as the page requires."""

@@ -26,6 +26,7 @@ from hrl_escape.errors import ConfigError, VerificationError
 from hrl_escape.files import parse_json
 from hrl_escape.sets.benchmark import list_benchmarks, load_benchmark
 from hrl_escape.sets.rung import Rung
+from hrl_escape.sets.seasons import split_season
 from hrl_escape.settings import Range, Settings, read_record
 
 CARD, ROOMS, RUN = "card.json", "rooms.csv", "run.zip"
@@ -129,7 +130,7 @@ def find_rung(card: AgentCard, manifest: str = "") -> Rung:
     Raises:
         VerificationError: neither the package nor the manifest has this benchmark with this test set.
     """
-    if not manifest and card.benchmark not in list_benchmarks():
+    if not manifest and split_season(card.benchmark)[0] not in list_benchmarks():
         raise VerificationError(f"benchmark {card.benchmark[:40]!r} does not come with this package, which has "
                                 f"{', '.join(list_benchmarks())}: give its manifest file")
     bench = load_benchmark(manifest or card.benchmark)

@@ -252,7 +252,7 @@ def test_pictures_show_the_colour_of_a_mark():
     for target, colour in zip(room.targets, colours, strict=True):
         assert make_badges(room, target)[-1][0] == colour
     bare = dataclasses.replace(room, puzzle=dataclasses.replace(room.puzzle, cues=()))
-    assert make_badges(bare, bare.targets[0]) == [] and describe_room(bare)["targets"][0]["mark"] is None
+    assert make_badges(bare, bare.targets[0]) == [] and describe_room(bare)["targets"][0]["cue"] is None
 
 
 def test_pixels_show_cues():

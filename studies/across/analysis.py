@@ -1,0 +1,182 @@
+"""References across rooms: efficiency in unseen rooms by kind of cue and of family, with seasons as runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from hrl_escape.agents.spec import AgentSpec
+from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
+from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import find_starts, make_agent_env
+from hrl_escape.benchmark.inference import Estimate
+from hrl_escape.benchmark.references.registry import make_reference
+from hrl_escape.benchmark.room_intervals import compute_nested_interval
+from hrl_escape.benchmark.score_range import compute_score_range
+from hrl_escape.benchmark.standings import LEAST_HEADROOM, compute_headroom
+from hrl_escape.benchmark.statistics import compute_efficiency
+from hrl_escape.errors import ComparisonError
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from studies.running import StudyArgs
+from studies.store import Store
+from studies.study import Findings, Study
+from studies.tables import make_table
+from studies.titles import find_title
+
+__all__ = ["LINES", "AcrossRun", "Args", "analyse", "list_jobs", "measure", "run_job"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Args(StudyArgs):
+    """Options of the study."""
+
+    minutes: float | None = None
+    """Begin no run after so long; the same command goes on."""
+    benchmark: str = ""
+    """Benchmark to run; all by default."""
+
+
+@dataclasses.dataclass(frozen=True)
+class AcrossRun:
+    """A reference in the test rooms of a season.
+
+    Attributes:
+        benchmark: name.
+        season: number.
+        rung: name.
+        agent: label.
+        rooms: training rooms; 0 without training.
+        primitives: of training.
+        efficiencies: in each test room.
+    """
+
+    benchmark: str
+    season: int
+    rung: str
+    agent: str
+    rooms: int
+    primitives: int
+    efficiencies: tuple[float, ...]
+
+    @property
+    def place(self) -> tuple[str, int, str, str, int]:
+        """Subject of the line."""
+        return self.benchmark, self.season, self.rung, self.agent, self.rooms
+
+
+LINES = (AcrossRun,)
+
+
+def list_jobs(data: Mapping[str, Any], benchmark: str = "") -> Iterator[AcrossRun]:
+    """Lines without results, season by season."""
+    agents = [(agent, 0) for agent in (*data["searches"], data["planner"])]
+    agents += [(data["counting"], size) for size in data["train_sizes"]]
+    for season in range(data["seasons"]):
+        for name, rungs in data["rungs"].items():
+            for rung in rungs if benchmark in ("", name) else ():
+                for agent, rooms in agents:
+                    yield AcrossRun(name, season, rung, agent, rooms, 0, ())
+
+
+def measure(study: Study, args: Args, store: Store) -> None:
+    """Run what is missing, until the time is up."""
+    known, end = {run.place for run in store.load()}, time.monotonic() + 60 * (args.minutes or math.inf)
+    with tempfile.TemporaryDirectory() as folder:
+        for job in list_jobs(study.data, args.benchmark):
+            if job.place in known:
+                continue
+            if time.monotonic() > end:
+                Console(stderr=True, highlight=False).print("time is up: the same command goes on")
+                return
+            store.add([run_job(job, study.data, Path(folder))])
+
+
+def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:
+    """Train a reference if it has training rooms, and test it."""
+    rung = load_benchmark(f"{job.benchmark}@{job.season}")[job.rung]
+    primitives, state = 0, None
+    if job.rooms:
+        primitives, state = _train(job.agent, rung.train[: job.rooms], data["primitives_per_room"] * job.rooms)
+    spec, seeds = AgentSpec.parse(job.agent), [compute_episode_seed(0, "evaluation", number)
+                                               for number in range(data["tested"])]
+    env, recorder = make_agent_env(spec, rung.test[: data["tested"]], "features",
+                                   {str(seed): number for number, seed in enumerate(seeds)})
+    try:
+        player = make_reference(spec.name, env, recorder)
+        if state is not None:
+            player.load_state_dict(state)
+        played = evaluate(player, env, len(seeds))
+        fewest = compute_score_range(find_starts(env, recorder, seeds), spec, cache).fewest
+    finally:
+        env.close()
+    found = np.minimum(compute_efficiency(played.escaped, played.lengths, fewest), 1.0)
+    return dataclasses.replace(job, primitives=primitives,
+                               efficiencies=tuple(round(value, 4) for value in found.tolist()))
+
+
+def _train(agent: str, rooms: InstanceSet, primitives: int) -> tuple[int, StateTree]:
+    spec = AgentSpec.parse(agent)
+    env, recorder = make_agent_env(spec, rooms, "features")
+    try:
+        player = make_reference(spec.name, env, recorder)
+        result = train(player, env, primitives=primitives, eval_episodes=0, progress=False, observed=False)
+    finally:
+        env.close()
+    return result.primitives, player.state_dict()
+
+
+def analyse(study: Study, lines: Sequence[AcrossRun]) -> Findings:
+    """Efficiency of each reference, and the normalised score of counting, over the seasons that all were run on.
+
+    Raises:
+        ComparisonError: there are no runs.
+    """
+    if not lines:
+        raise ComparisonError("there are no runs")
+    data, found = study.data, {}
+    for benchmark, rungs in data["rungs"].items():
+        for rung in rungs:
+            own = [run for run in lines if (run.benchmark, run.rung) == (benchmark, rung)]
+            cells = sorted({(run.agent, run.rooms) for run in own})
+            table = {(run.agent, run.rooms, run.season): np.array(run.efficiencies) for run in own}
+            seasons = [season for season in range(data["seasons"])
+                       if all((*cell, season) in table for cell in cells)]
+            if len(seasons) >= data["least"]:
+                found[f"{benchmark}/{rung}"] = _summarise(data, cells, table, seasons)
+    rows = [[name, str(own.seasons), *(f"{own.means[cell]:.3f}" if cell in own.means else ""
+                                       for cell in _list_cells(data)),
+             *("" if score is None else f"{score:.2f}" for score in own.normalised.values())]
+            for name, own in found.items()]
+    columns = [find_title(agent) + (f", {rooms} rooms" if rooms else "") for agent, rooms in _list_cells(data)]
+    return Findings(SimpleNamespace(rungs=found, data=data), {"across": make_table(
+        ["rung", "seasons", *columns, *(f"normalised, {size} rooms" for size in data["train_sizes"])], rows)})
+
+
+def _list_cells(data: Mapping[str, Any]) -> list[tuple[str, int]]:
+    return [(agent, 0) for agent in (*data["searches"], data["planner"])] + [
+        (data["counting"], size) for size in data["train_sizes"]]
+
+
+def _summarise(data: Mapping[str, Any], cells: Sequence[tuple[str, int]],
+               table: Mapping[tuple[str, int, int], np.ndarray], seasons: Sequence[int]) -> SimpleNamespace:
+    """Means with intervals over seasons, the headroom, and normalised scores of counting where there is headroom."""
+    by_season = {cell: [table[(*cell, season)] for season in seasons] for cell in cells}
+    means: dict[tuple[str, int], Estimate] = {cell: compute_nested_interval(own) for cell, own in by_season.items()}
+    best = max(((agent, 0) for agent in data["searches"] if (agent, 0) in means), key=lambda cell: means[cell].value)
+    season_means = {cell: np.array([season.mean() for season in own]) for cell, own in by_season.items()}
+    headroom = compute_headroom(season_means[best], season_means[data["planner"], 0])
+    normalised = {size: None if headroom.low <= LEAST_HEADROOM or (data["counting"], size) not in means else
+                  (means[data["counting"], size].value - means[best].value) / headroom.value
+                  for size in data["train_sizes"]}
+    return SimpleNamespace(seasons=len(seasons), means=means, headroom=headroom, best=best[0], normalised=normalised)
