@@ -28,6 +28,7 @@ from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
+from studies.across.candidates import CandidateRun, list_candidates, run_candidate
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Findings, Study
@@ -45,6 +46,8 @@ class Args(StudyArgs):
     """Begin no run after so long; the same command goes on."""
     benchmark: str = ""
     """Benchmark to run; all by default."""
+    candidates: bool = False
+    """Run the learners that are compared by wrong presses, in place of the references."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +78,7 @@ class AcrossRun:
         return self.benchmark, self.season, self.rung, self.agent, self.rooms
 
 
-LINES = (AcrossRun,)
+LINES = (AcrossRun, CandidateRun)
 
 
 def list_jobs(data: Mapping[str, Any], benchmark: str = "") -> Iterator[AcrossRun]:
@@ -92,14 +95,15 @@ def list_jobs(data: Mapping[str, Any], benchmark: str = "") -> Iterator[AcrossRu
 def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing, until the time is up."""
     known, end = {run.place for run in store.load()}, time.monotonic() + 60 * (args.minutes or math.inf)
+    jobs = list_candidates(study.data) if args.candidates else list_jobs(study.data, args.benchmark)
     with tempfile.TemporaryDirectory() as folder:
-        for job in list_jobs(study.data, args.benchmark):
+        for job in jobs:
             if job.place in known:
                 continue
             if time.monotonic() > end:
                 Console(stderr=True, highlight=False).print("time is up: the same command goes on")
                 return
-            store.add([run_job(job, study.data, Path(folder))])
+            store.add([run_candidate(job) if isinstance(job, CandidateRun) else run_job(job, study.data, Path(folder))])
 
 
 def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:
@@ -136,31 +140,53 @@ def _train(agent: str, rooms: InstanceSet, primitives: int) -> tuple[int, StateT
     return result.primitives, player.state_dict()
 
 
-def analyse(study: Study, lines: Sequence[AcrossRun]) -> Findings:
+def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings:
     """Efficiency of each reference, and the normalised score of counting, over the seasons that all were run on.
 
     Raises:
         ComparisonError: there are no runs.
     """
-    if not lines:
+    if not every:
         raise ComparisonError("there are no runs")
-    data, found = study.data, {}
+    data, found, lines = study.data, {}, [run for run in every if isinstance(run, AcrossRun)]
     for benchmark, rungs in data["rungs"].items():
         for rung in rungs:
             own = [run for run in lines if (run.benchmark, run.rung) == (benchmark, rung)]
             cells = sorted({(run.agent, run.rooms) for run in own})
-            table = {(run.agent, run.rooms, run.season): np.array(run.efficiencies) for run in own}
+            values = {(run.agent, run.rooms, run.season): np.array(run.efficiencies) for run in own}
             seasons = [season for season in range(data["seasons"])
-                       if all((*cell, season) in table for cell in cells)]
+                       if all((*cell, season) in values for cell in cells)]
             if len(seasons) >= data["least"]:
-                found[f"{benchmark}/{rung}"] = _summarise(data, cells, table, seasons)
+                found[f"{benchmark}/{rung}"] = _summarise(data, cells, values, seasons)
     rows = [[name, str(own.seasons), *(f"{own.means[cell]:.3f}" if cell in own.means else ""
                                        for cell in _list_cells(data)),
              *("" if score is None else f"{score:.2f}" for score in own.normalised.values())]
             for name, own in found.items()]
+    wrong = _summarise_candidates([run for run in every if isinstance(run, CandidateRun)], data)
     columns = [find_title(agent) + (f", {rooms} rooms" if rooms else "") for agent, rooms in _list_cells(data)]
-    return Findings(SimpleNamespace(rungs=found, data=data), {"across": make_table(
-        ["rung", "seasons", *columns, *(f"normalised, {size} rooms" for size in data["train_sizes"])], rows)})
+    learners = list(dict.fromkeys(cell for own in wrong.values() for cell in own))
+    table_of_wrong = make_table(["rung", *(name + (f", {rooms} rooms" if rooms else "") for name, rooms in learners)], [
+        [rung, *(f"{own[cell]:.2f}" if cell in own else "" for cell in learners)] for rung, own in wrong.items()])
+    table = make_table(["rung", "seasons", *columns, *(f"normalised, {size} rooms" for size in data["train_sizes"])],
+                       rows)
+    return Findings(SimpleNamespace(rungs=found, wrong=wrong, data=data), {"wrong": table_of_wrong, "across": table})
+
+
+def _summarise_candidates(runs: Sequence[CandidateRun], data: Mapping[str, Any]
+                          ) -> dict[str, dict[tuple[str, int], Estimate]]:
+    """Wrong presses in a room by rung and learner, with intervals over the seasons."""
+    found: dict[str, dict[tuple[str, int], Estimate]] = {}
+    for benchmark, rungs in data["candidates"].items():
+        for rung in rungs:
+            cells: dict[tuple[str, int], list[np.ndarray]] = {}
+            for run in runs:
+                if (run.benchmark, run.rung) == (benchmark, rung):
+                    cells.setdefault((run.learner, run.rooms), []).append(np.array([run.wrong]))
+            own = {cell: compute_nested_interval(values) for cell, values in cells.items()
+                   if len(values) >= data["least"]}
+            if own:
+                found[f"{benchmark}/{rung}"] = own
+    return found
 
 
 def _list_cells(data: Mapping[str, Any]) -> list[tuple[str, int]]:

@@ -8,7 +8,8 @@ from typing import Any
 from studies.parts.reach import BASELINE, FULL, LIMIT, RULE, STRUCTURED
 from studies.publishing import Rules
 
-STUDIES = ("parts",)
+STUDIES = ("parts", "crossover")
+FOUR_TO_FIFTEEN = (4, 6, 8, 10, 15)
 
 
 def is_search_fastest(numbers: Any) -> bool:
@@ -56,10 +57,26 @@ def do_planned_walks_pay(numbers: Any) -> bool:
                for ratio in numbers.parts.first.ratios["options", "flat + commitment", rule].values() if ratio.rooms)
 
 
+def is_search_with_memory_faster(numbers: Any) -> bool:
+    """The ratio is below 1 with four to 15 buttons under both rules, over all rooms."""
+    return all(numbers.crossover.ratios[rule]["all"][size].high < 1 for rule in ("ignore", "reset")
+               for size in FOUR_TO_FIFTEEN)
+
+
+def does_only_search_escape_everywhere(numbers: Any) -> bool:
+    """With 15 buttons and resets, all runs of search with memory escape, not all of the learner, none that forgets."""
+    found = numbers.crossover.ratios["reset"]["all"][15]
+    escaped, made = numbers.parts.first.escapes[BASELINE, RULE].get(15, (0, 1))
+    return found.search == found.rooms > found.learner and not escaped and made > 0
+
+
 RULES: Rules = {
+    "search-with-memory-is-faster": is_search_with_memory_faster,
+    "no-crossover": is_search_with_memory_faster,
+    "fifteen-buttons": does_only_search_escape_everywhere,
     "search-is-fastest-up-to-ten-buttons": is_search_fastest,
     "only-structure-escapes-beyond-ten": does_structure_alone_escape,
-    "takeaway": lambda numbers: is_search_fastest(numbers) and does_structure_alone_escape(numbers),
+    "takeaway": lambda numbers: is_search_with_memory_faster(numbers) and does_structure_alone_escape(numbers),
     "structure-pays-late": does_structure_pay_late,
     "search-wins-without-resets": does_search_win_without_resets,
     "planned-walks-pay": do_planned_walks_pay,

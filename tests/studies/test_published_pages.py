@@ -15,8 +15,8 @@ from studies.running import open_store
 from studies.study import find_study
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
-HEADLINE = ("When a wrong press turns all buttons off, only agents that learn the dependencies escape from more than "
-            "ten buttons.")
+HEADLINE = ("When a wrong press resets, only learned dependencies or a memory of earlier episodes escape beyond ten "
+            "buttons.")
 """Stands in the README."""
 
 
@@ -27,7 +27,8 @@ def test_every_page_of_results_but_the_index_is_published_by_the_studies():
 @pytest.fixture
 def parts() -> SimpleNamespace:
     """Numbers of the page on parts, to change."""
-    return SimpleNamespace(parts=copy.deepcopy(load_findings("parts").numbers))
+    return SimpleNamespace(parts=copy.deepcopy(load_findings("parts").numbers),
+                           crossover=copy.deepcopy(load_findings("crossover").numbers))
 
 
 def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(parts: SimpleNamespace):
@@ -35,6 +36,7 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(p
     study = find_study("parts")
     runs = open_store(study, None).load()
     assert RULES["only-structure-escapes-beyond-ten"](parts) and RULES["search-is-fastest-up-to-ten-buttons"](parts)
+    assert RULES["fifteen-buttons"](parts) and RULES["search-with-memory-is-faster"](parts)
     readme = " ".join((RESULTS.parents[1] / "README.md").read_text().split())
     assert f"**{HEADLINE}**" in readme and len(HEADLINE.split()) <= 20
     assert "docs/results/figures/reach.svg" in readme and "docs/results/figures/reach-dark.svg" in readme
@@ -50,6 +52,12 @@ def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(p
     for own in counts[1:]:
         *before, last = (escaped for escaped, _ in own.values())
         assert last == 0 and all(before)
+
+
+def test_a_ratio_above_1_refutes_that_search_with_memory_is_faster(parts: SimpleNamespace):
+    own = parts.crossover.ratios["reset"]["all"]
+    own[8] = own[8]._replace(high=1.01)
+    assert not RULES["search-with-memory-is-faster"](parts) and not RULES["takeaway"](parts)
 
 
 @pytest.mark.parametrize("slice_", ["first", "fresh"])

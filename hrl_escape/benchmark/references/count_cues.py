@@ -12,8 +12,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Hashable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -40,6 +40,14 @@ Step = list[tuple[tuple[str, ...], bool]]
 """Buttons that were off at a step of an order: their cues, one of each kind, and whether the button was next."""
 
 
+class RoomOrder(NamedTuple):
+    """What a training room showed."""
+
+    cues: tuple[int, ...]  # symbol of each button; empty without symbols
+    sectors: tuple[int, ...]  # direction of each button's place from the middle of the floor, from 0 to `SECTORS` - 1
+    order: tuple[int, ...]  # buttons in the order in which they were turned on
+
+
 @dataclasses.dataclass
 class _Count:
     """Times that buttons with a cue were off, and were next."""
@@ -60,30 +68,28 @@ class CountCues(SearchBacktrack):
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
-        self._steps: dict[str, list[Step]] = {}  # steps of the order that escaped from each training room
+        self._orders: dict[str, RoomOrder] = {}  # of each training room that it has escaped from
         self._losses: list[float] = []  # primitives lost by each wrong press
         self._memories: dict[str, tuple[dict[Any, Any], dict[Any, Any]]] = {}  # of rooms without an escape yet
         self._lit: list[int] = []  # targets that are on, in order
         self._is_learning = False
-        self._kinds: tuple[int, ...] | None = None
-        self._counts: dict[str, _Count] = {}
+        self._table: CountTable | None = None
 
     @property
     def counted(self) -> Mapping[str, Any]:
         """What training has found out, as plain values."""
-        return {"steps": {room: [[[list(cues), is_next] for cues, is_next in step] for step in steps]
-                          for room, steps in self._steps.items()}, "losses": list(self._losses)}
+        return {"orders": {room: [list(each) for each in own] for room, own in self._orders.items()},
+                "losses": list(self._losses)}
 
     @counted.setter
     def counted(self, value: Mapping[str, Any]) -> None:
-        self._steps = {room: [[(tuple(cues), bool(is_next)) for cues, is_next in step] for step in steps]
-                       for room, steps in value["steps"].items()}
-        self._losses, self._kinds, self._memories = list(value["losses"]), None, {}
+        self._orders = {room: RoomOrder(*map(tuple, own)) for room, own in value["orders"].items()}
+        self._losses, self._table, self._memories = list(value["losses"]), None, {}
 
     @property
     def rooms(self) -> int:
         """Number of training rooms that it has escaped from."""
-        return len(self._steps)
+        return len(self._orders)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Choose an action of a training episode."""
@@ -103,8 +109,8 @@ class CountCues(SearchBacktrack):
         self._read_on(states)
         self._chosen = None
         if transition.terminated and self._puzzle.is_solved(states[-1].puzzle):
-            if room not in self._steps and len(self._steps) < MOST_ROOMS:
-                self._steps[room], self._kinds = self._list_steps(self._lit), None
+            if room not in self._orders and len(self._orders) < MOST_ROOMS:
+                self._orders[room], self._table = self._look(), None
             self._memories.pop(room, None)
         else:
             if transition.terminated:
@@ -121,9 +127,8 @@ class CountCues(SearchBacktrack):
         if self._is_learning and room.id in self._memories:
             self._known, self._states = self._memories[room.id]
         self._lit = []
-        if self._kinds is None:
-            self._kinds = _choose_kinds(list(self._steps.values()))
-            self._counts = _count(self._steps.values(), self._kinds)
+        if self._table is None:
+            self._table = CountTable(list(self._orders.values()))
 
     def _note(self, action: int, before: RoomState, after: RoomState) -> None:
         super()._note(action, before, after)
@@ -138,33 +143,22 @@ class CountCues(SearchBacktrack):
         elif not now[target] and self._is_learning:
             self._losses.append(0.0)
 
-    def _list_steps(self, order: Sequence[int]) -> list[Step]:
-        """Return the buttons that were off at each step of an order, with their cues."""
-        return [[(self._read_cues(target, order[:place]), target == order[place])
-                 for target in range(self._puzzle.count) if target not in order[:place]]
-                for place in range(len(order))]
+    def _look(self) -> RoomOrder:
+        """Return what the room shows so far."""
+        room = self._room.instance
+        turns = (math.atan2(target.y, target.x) % math.tau / math.tau for target in room.targets)
+        return RoomOrder(tuple(room.puzzle.cues), tuple(min(int(turn * SECTORS), SECTORS - 1) for turn in turns),
+                         tuple(self._lit))
 
-    def _read_cues(self, target: int, before: Sequence[int]) -> tuple[str, ...]:
-        """Return the cue of each of `KINDS` of a button after others were turned on."""
-        room, place = self._room.instance, len(before)
-        turn = math.atan2(room.targets[target].y, room.targets[target].x) % math.tau / math.tau
-        cues, last = room.puzzle.cues, before[-1] if before else None
-        symbol = str(cues[target]) if cues else ""
-        plug, colour, previous = "", "", ""
-        if cues:
-            _, shape, size = split_cue(cues[target])
-            plug = f"{shape},{size}"
-            if last is not None:
-                colour, previous = str(split_cue(cues[last])[0]), str(cues[last])
-        parts = (f"{place} {symbol}", f"{place} {int(turn * SECTORS)}", f"{previous}>{symbol}", f"{colour}>{plug}",
-                 f"{'' if last is None else last}>{target}")
-        return tuple(f"{kind}:{part}" for kind, part in zip(KINDS, parts, strict=True))
+    def _weigh(self, room: RoomOrder, off: Sequence[int]) -> Sequence[float] | None:
+        """Return the probability that each of the buttons that are off is next, or None if nothing is known."""
+        return None if self._table is None else self._table.weigh(room, off)
 
     def _pick(self, untried: Sequence[int], state: RoomState) -> int:
-        if not self._kinds:
-            return super()._pick(untried, state)
         off = [target for target in range(self._puzzle.count) if target not in self._lit]
-        odds = _compute_odds([self._read_cues(target, self._lit) for target in off], self._counts, self._kinds)
+        odds = self._weigh(self._look(), off)
+        if odds is None:
+            return super()._pick(untried, state)
         open_ = {action: odds[off.index(self._options[action].targets[0])]
                  for action in untried if self._options[action].targets[0] in off}
         if not open_:
@@ -180,11 +174,44 @@ class CountCues(SearchBacktrack):
 
         return min(open_, key=expect)
 
-    def _describe(self, action: int, state: RoomState) -> str:
-        return self._tell(action in self._known.get(self._get_pattern(state), {}), action, state)
 
-    def _get_pattern(self, state: RoomState) -> Hashable:
-        return self._puzzle.observe(state.puzzle)
+class CountTable:
+    """Counts of the cues of next buttons in training rooms.
+
+    Attributes:
+        kinds: numbers of the kinds of cues that count, in `KINDS`.
+    """
+
+    def __init__(self, rooms: Sequence[RoomOrder]) -> None:
+        steps = [list_steps(room) for room in rooms]
+        self.kinds = _choose_kinds(steps)
+        self._counts = _count(steps, self.kinds)
+
+    def weigh(self, room: RoomOrder, off: Sequence[int]) -> Sequence[float] | None:
+        """Return the probability that each of the buttons that are off is next, or None if no cue predicts it."""
+        if not self.kinds:
+            return None
+        return _compute_odds([read_cues(room, target, len(room.order)) for target in off], self._counts, self.kinds)
+
+
+def list_steps(room: RoomOrder) -> list[Step]:
+    """Return the buttons that were off at each step of an order, with their cues."""
+    return [[(read_cues(room, target, place), target == room.order[place])
+             for target in range(len(room.sectors)) if target not in room.order[:place]]
+            for place in range(len(room.order))]
+
+
+def read_cues(room: RoomOrder, target: int, place: int) -> tuple[str, ...]:
+    """Return the cue of each of `KINDS` of a button after the first `place` buttons of the order were turned on."""
+    last, plug, colour, previous, symbol = room.order[place - 1] if place else None, "", "", "", ""
+    if room.cues:
+        _, shape, size = split_cue(room.cues[target])
+        plug, symbol = f"{shape},{size}", str(room.cues[target])
+        if last is not None:
+            colour, previous = str(split_cue(room.cues[last])[0]), str(room.cues[last])
+    parts = (f"{place} {symbol}", f"{place} {room.sectors[target]}", f"{previous}>{symbol}", f"{colour}>{plug}",
+             f"{'' if last is None else last}>{target}")
+    return tuple(f"{kind}:{part}" for kind, part in zip(KINDS, parts, strict=True))
 
 
 def _count(rooms: Iterable[Sequence[Step]], kinds: Sequence[int]) -> dict[str, _Count]:

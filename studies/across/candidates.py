@@ -1,0 +1,111 @@
+"""Candidates that learn across rooms, compared by their wrong presses in unseen rooms, without walking.
+
+Orders and symbols are those of the benchmark's rooms. A learner presses its likeliest button that is off and was not
+tried since a light last changed; wrong presses have no effect. Positions are left out, so rungs that need them are not
+measured here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from hrl_escape.benchmark.references.count_cues import CountTable, RoomOrder
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.sampling.generation import sample_puzzle
+from hrl_escape.sets.benchmark import load_benchmark
+from hrl_escape.sets.instance_set import InstanceSet
+from studies.across.attention import fit, weigh
+
+__all__ = ["CandidateRun", "count_wrong", "list_candidates", "make_orders", "run_candidate"]
+
+CHANCE, COUNTING, ATTENTION = "random order", "counting", "attention"
+Weigh = Callable[[RoomOrder, Sequence[int]], Sequence[float] | None]
+
+
+@dataclasses.dataclass(frozen=True)
+class CandidateRun:
+    """Wrong presses of a learner in the test rooms of a season.
+
+    Attributes:
+        benchmark: name.
+        season: number.
+        rung: name.
+        learner: name.
+        rooms: training rooms.
+        wrong: mean wrong presses in a test room.
+    """
+
+    benchmark: str
+    season: int
+    rung: str
+    learner: str
+    rooms: int
+    wrong: float
+
+    @property
+    def place(self) -> tuple[str, int, str, str, int]:
+        """Subject of the line."""
+        return self.benchmark, self.season, self.rung, self.learner, self.rooms
+
+
+def list_candidates(data: Mapping[str, Any]) -> Iterator[CandidateRun]:
+    """Lines without results, season by season."""
+    for season in range(data["seasons"]):
+        for benchmark, rungs in data["candidates"].items():
+            for rung in rungs:
+                yield CandidateRun(benchmark, season, rung, CHANCE, 0, 0.0)
+                for rooms in data["train_sizes"]:
+                    for learner in (COUNTING, ATTENTION):
+                        yield CandidateRun(benchmark, season, rung, learner, rooms, 0.0)
+
+
+def run_candidate(job: CandidateRun) -> CandidateRun:
+    """Train a learner on orders of training rooms, and count its wrong presses in all test rooms."""
+    rung = load_benchmark(f"{job.benchmark}@{job.season}")[job.rung]
+    tested = [(sample_puzzle(rung.config, seed)[1], seed) for seed in rung.test.seeds]
+    weigh_by: Weigh = lambda room, off: None  # noqa: E731
+    if job.learner == COUNTING:
+        weigh_by = CountTable(make_orders(rung.train, job.rooms)).weigh
+    elif job.learner == ATTENTION:
+        torch.set_num_threads(1)
+        network = fit(make_orders(rung.train, job.rooms), make_orders(rung.valid, len(rung.valid)), job.season)
+        weigh_by = lambda room, off: weigh(network, room, off)  # noqa: E731
+    wrong = [count_wrong(weigh_by, puzzle, np.random.default_rng(seed)) for puzzle, seed in tested]
+    return dataclasses.replace(job, wrong=round(float(np.mean(wrong)), 4))
+
+
+def make_orders(rooms: InstanceSet, count: int) -> list[RoomOrder]:
+    """Orders in which search turns on the buttons of the first rooms of a set, at random among those that can light."""
+    return [_draw_order(sample_puzzle(rooms.config, seed)[1], np.random.default_rng(seed))
+            for seed in rooms.seeds[:count]]
+
+
+def _draw_order(puzzle: ButtonsPuzzle, rng: np.random.Generator) -> RoomOrder:
+    order: list[int] = []
+    while puzzle.goal not in order:
+        lit = sum(1 << button for button in order)
+        order.append(int(rng.choice([button for button in range(puzzle.count) if button not in order
+                                     and not puzzle.parent_masks[button] & ~lit])))
+    return RoomOrder(tuple(puzzle.cues), (0,) * puzzle.count, tuple(order))
+
+
+def count_wrong(weigh_by: Weigh, puzzle: ButtonsPuzzle, rng: np.random.Generator) -> int:
+    """Wrong presses until the goal is on; ties and missing odds are broken at random."""
+    order: list[int] = []
+    wrong = 0
+    while puzzle.goal not in order:
+        off = [button for button in range(puzzle.count) if button not in order]
+        odds = weigh_by(RoomOrder(tuple(puzzle.cues), (0,) * puzzle.count, tuple(order)), off)
+        ranks = rng.random(len(off)) * 1e-9 + (np.zeros(len(off)) if odds is None else np.array(odds))
+        lit = sum(1 << button for button in order)
+        for number in np.argsort(-ranks):
+            if not puzzle.parent_masks[off[number]] & ~lit:
+                order.append(off[number])
+                break
+            wrong += 1
+    return wrong
