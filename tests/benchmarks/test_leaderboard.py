@@ -15,9 +15,8 @@ from benchmarks.leaderboard.program import ProgramAgent
 from benchmarks.leaderboard.results import Result, check, load, make
 from hrl_escape.benchmark.agent_archive import RoomView
 from hrl_escape.benchmark.inference import Estimate
-from hrl_escape.benchmark.pretrained import find_pretrained
 from hrl_escape.benchmark.replay import make_view_env
-from hrl_escape.errors import ConfigError, ContractError, FileReadError, TrustError, VerificationError
+from hrl_escape.errors import ConfigError, ContractError, FileReadError, TrustError
 from hrl_escape.files import read_toml
 from tests.benchmark.trained import CARD, get_rung, make_bench, make_card
 from tests.command_line import call_script
@@ -25,8 +24,6 @@ from tests.command_line import call_script
 STARTER = RESULTS.parent / "starter"
 PYTHON = {**CARD, "command": ["python", "agent.py"]}
 ANSWER = "import sys\nfor line in sys.stdin: print(0, flush=True)\n"
-TRAINED = ("marks-4-rules-ppo", "marks-4-wires-ppo")
-"""Results of agents that are not in the repository."""
 
 
 def write_program(folder: Path, code: str) -> str:
@@ -59,7 +56,7 @@ def test_the_sentence_of_a_rung_follows_its_rows():
 
 
 def test_text_of_a_card_is_no_markup(tmp_path):
-    found = load(RESULTS / "marks-1-told-bayes.json")
+    found = load(RESULTS / "cues-1-colours-bayes.json")
     card = dataclasses.replace(found.card, name="<b>|x|</b> [a](b)*", authors=("`me`",), information="{{ 7 * 7 }} $x$",
                                link="https://example.org/a")
     Result(card, found.results).save(tmp_path / "it.json")
@@ -75,25 +72,11 @@ def test_text_of_a_card_is_no_markup(tmp_path):
 @pytest.mark.nightly
 @pytest.mark.parametrize("path", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_a_result_of_the_leaderboard_replays(path):
-    if path.stem not in TRAINED:
-        assert all(each.is_equal for each in check(path, 2, 0, trust=True))
-
-
-def test_the_trained_agents_on_the_page_are_those_of_the_package():
-    for path in RESULTS.glob("*-ppo.json"):
-        card = load(path).card
-        if path.stem not in TRAINED:
-            assert find_pretrained(f"{card.benchmark}/{card.rung}", card.name).exists()
-
-
-def test_an_archive_of_another_agent_is_refused():
-    with pytest.raises(VerificationError, match="of another agent"):
-        check(RESULTS / "marks-1-told-ppo.json", 1, 0,
-              find_pretrained("marks-2/motifs", "smdp-ppo+objects+memory"))
+    assert all(each.is_equal for each in check(path, 2, 0, trust=True))
 
 
 def test_a_damaged_result_file_is_named(tmp_path):
-    value = json.loads((RESULTS / "marks-1-told-bayes.json").read_text())
+    value = json.loads((RESULTS / "cues-1-colours-bayes.json").read_text())
     value["results"][0]["primitives"] = 0
     (tmp_path / "a.json").write_text(json.dumps(value))
     with pytest.raises(FileReadError, match="a.json: this is no result file"):

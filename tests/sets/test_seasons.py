@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_the_bayes_planner_of_a_family_is_what_plain_recursion_finds(rule: str, 
     arrivals = np.tile(np.arange(count) * count, count + 1)[:, None] + np.arange(count)
     leaving = rng.integers(1, 20, (count + 1) * count).astype(np.float32)
 
-    @lru_cache(maxsize=None)
+    @cache
     def cost(lit: frozenset[int], left: frozenset[int], place: int, pressed_in_vain: frozenset[int]) -> float:
         best = np.inf
         for button in set(range(count)) - lit - pressed_in_vain:

@@ -5,8 +5,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
+from hrl_escape.benchmark.references.count_cues import RoomOrder
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from studies.across.analysis import AcrossRun, analyse, list_jobs
+from studies.across.attention import AttentionSettings, fit, weigh
+from studies.across.candidates import count_wrong, list_candidates, run_candidate
 from studies.study import find_study
 
 STUDY = find_study("across")
@@ -37,3 +42,35 @@ def test_seasons_that_lack_a_cell_do_not_count():
     lines = make_lines(0.6, 0.8, 0.9)
     short = [line for line in lines if (line.season, line.agent) != (2, "bayes")]
     assert analyse(STUDY, short).numbers.rungs["cues-1/symbols"].seasons == 5
+
+
+def test_attention_learns_an_order_that_only_a_lit_button_reveals():
+    """The first button to light shows which of two orders of three symbols holds; counting symbols cannot know it."""
+    rng, rooms = np.random.default_rng(0), []
+    for number in range(60):
+        cues = rng.permutation([1, 2, 3, 4]).tolist()
+        first, rest = ([1], [3, 4, 2]) if number % 2 else ([2], [4, 3, 1])
+        rooms.append(RoomOrder(tuple(cues), (0,) * 4, tuple(cues.index(symbol) for symbol in first + rest)))
+    network = fit(rooms[:44], rooms[44:52], 0, AttentionSettings(width=16, heads=2, layers=1, epochs=80))
+    right = 0
+    for room in rooms[52:]:
+        seen = room._replace(order=room.order[:1])
+        off = [button for button in range(4) if button != room.order[0]]
+        odds = weigh(network, seen, off)
+        assert sum(odds) == pytest.approx(1, abs=1e-5)
+        right += off[int(np.argmax(odds))] == room.order[1]
+    assert right >= 7
+
+
+def test_wrong_presses_are_counted_by_the_rules_of_the_puzzle():
+    puzzle = ButtonsPuzzle(4, ((0, 1), (1, 2), (2, 3)), 3)
+    assert count_wrong(lambda room, off: [-button for button in off], puzzle, np.random.default_rng(0)) == 0
+    assert count_wrong(lambda room, off: list(off), puzzle, np.random.default_rng(0)) == 3 + 2 + 1
+    mean = np.mean([count_wrong(lambda room, off: None, puzzle, np.random.default_rng(seed)) for seed in range(400)])
+    assert mean == pytest.approx(1.5 + 1 + 0.5, abs=0.3), "half of the others at each step"
+
+
+def test_a_candidate_counts_in_training_rooms_and_is_tested_in_others():
+    (job,) = [job for job in list_candidates(STUDY.data) if job.place == ("cues-1", 0, "colours", "counting", 16)]
+    chance = dataclasses.replace(job, learner="random order", rooms=0)
+    assert run_candidate(job).wrong < 0.5 < 3 < run_candidate(chance).wrong < 7
