@@ -152,7 +152,7 @@ def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings
     for benchmark, rungs in data["rungs"].items():
         for rung in rungs:
             own = [run for run in lines if (run.benchmark, run.rung) == (benchmark, rung)]
-            cells = sorted({(run.agent, run.rooms) for run in own})
+            cells = _list_cells(data)
             values = {(run.agent, run.rooms, run.season): np.array(run.efficiencies) for run in own}
             seasons = [season for season in range(data["seasons"])
                        if all((*cell, season) in values for cell in cells)]
@@ -199,10 +199,10 @@ def _summarise(data: Mapping[str, Any], cells: Sequence[tuple[str, int]],
     """Means with intervals over seasons, the headroom, and normalised scores of counting where there is headroom."""
     by_season = {cell: [table[(*cell, season)] for season in seasons] for cell in cells}
     means: dict[tuple[str, int], Estimate] = {cell: compute_nested_interval(own) for cell, own in by_season.items()}
-    best = max(((agent, 0) for agent in data["searches"] if (agent, 0) in means), key=lambda cell: means[cell].value)
+    best = max(((agent, 0) for agent in data["searches"]), key=lambda cell: means[cell].value)
     season_means = {cell: np.array([season.mean() for season in own]) for cell, own in by_season.items()}
     headroom = compute_headroom(season_means[best], season_means[data["planner"], 0])
-    normalised = {size: None if headroom.low <= LEAST_HEADROOM or (data["counting"], size) not in means else
+    normalised = {size: None if headroom.low <= LEAST_HEADROOM else
                   (means[data["counting"], size].value - means[best].value) / headroom.value
                   for size in data["train_sizes"]}
     return SimpleNamespace(seasons=len(seasons), means=means, headroom=headroom, best=best[0], normalised=normalised)
