@@ -25,6 +25,10 @@ MOST_BUTTONS = 16
 """Most buttons of a room."""
 
 
+INITIAL = 0.05
+"""Standard deviation of new embeddings. Small ones leave symbols neutral that training has not shown."""
+
+
 @dataclasses.dataclass(frozen=True)
 class AttentionSettings:
     """Settings of the network and its training."""
@@ -58,6 +62,8 @@ class OrderNetwork(nn.Module):
                                            batch_first=True, norm_first=True)
         self.attention = nn.TransformerEncoder(layer, settings.layers, enable_nested_tensor=False)
         self.head = nn.Linear(settings.width, 1)
+        for embed in (*self.embeddings, self.place):
+            nn.init.normal_(embed.weight, std=INITIAL)  # pyright: ignore[reportArgumentType]
 
     def forward(self, tokens: Tensor) -> Tensor:
         """Return logits, float32 (rooms, buttons), of tokens, int64 (rooms, buttons, 6); -inf where a button is on."""

@@ -36,7 +36,7 @@ PRIOR = 1.0
 MOST_ROOMS = 1_000
 """Training rooms that are counted."""
 
-Step = list[tuple[tuple[str, ...], bool]]
+OrderStep = list[tuple[tuple[str, ...], bool]]
 """Buttons that were off at a step of an order: their cues, one of each kind, and whether the button was next."""
 
 
@@ -194,7 +194,7 @@ class CountTable:
         return _compute_odds([read_cues(room, target, len(room.order)) for target in off], self._counts, self.kinds)
 
 
-def list_steps(room: RoomOrder) -> list[Step]:
+def list_steps(room: RoomOrder) -> list[OrderStep]:
     """Return the buttons that were off at each step of an order, with their cues."""
     return [[(read_cues(room, target, place), target == room.order[place])
              for target in range(len(room.sectors)) if target not in room.order[:place]]
@@ -214,7 +214,7 @@ def read_cues(room: RoomOrder, target: int, place: int) -> tuple[str, ...]:
     return tuple(f"{kind}:{part}" for kind, part in zip(KINDS, parts, strict=True))
 
 
-def _count(rooms: Iterable[Sequence[Step]], kinds: Sequence[int]) -> dict[str, _Count]:
+def _count(rooms: Iterable[Sequence[OrderStep]], kinds: Sequence[int]) -> dict[str, _Count]:
     """Count how often buttons with each cue were off, and were next."""
     found: dict[str, _Count] = {}
     for step in itertools.chain.from_iterable(rooms):
@@ -240,7 +240,7 @@ def _compute_odds(off: Sequence[Sequence[str]], counts: Mapping[str, _Count], ki
     return [weight / total for weight in weights]
 
 
-def _choose_kinds(rooms: Sequence[Sequence[Step]]) -> tuple[int, ...]:
+def _choose_kinds(rooms: Sequence[Sequence[OrderStep]]) -> tuple[int, ...]:
     """Return the kinds of cues that predict the next button best in rooms that are left out, one at a time."""
     best, most = (), sum(math.log(1.0 / len(step)) for room in rooms for step in room)
     for size in (1, 2):
