@@ -404,8 +404,8 @@ def test_a_press_in_vain_beside_one_that_lights_is_no_reset(rule: Any, monkeypat
     env.close()
 
 
-@pytest.mark.nightly_for("rules-360")
-@pytest.mark.parametrize(("rung", "graphs"), [("rules", 360), ("dependencies", 120)])
+@pytest.mark.nightly_for("hidden-rules-360")
+@pytest.mark.parametrize(("rung", "graphs"), [("hidden-rules", 360), ("dependencies", 120)])
 def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_are_drawn(rung: str, graphs: int):
     """A ceiling is a ceiling only where beliefs are listed: a sample does not plan."""
     rooms = load_benchmark("cues-1")[rung].test[:1]

@@ -21,10 +21,6 @@ def test_bytes_per_primitive_are_within_what_the_page_says():
     assert len(shares) > 50 and (round(min(shares), 1), round(max(shares), 1)) == (float(low), float(high))
 
 
-def test_trained_agents_are_there_for_every_rung_of_the_ladder_and_some_of_marks():
-    words = "trained agents for every rung of `ladder-1` and for some rungs of the [marks]"
-    assert words in (DOCS / "ladder.md").read_text()
-    found = list_pretrained()
-    assert {f"ladder-1/{rung.name}" for rung in load_benchmark("ladder-1")} <= found.keys()
-    marks = {f"marks-{number}/{rung.name}" for number in range(1, 5) for rung in load_benchmark(f"marks-{number}")}
-    assert 0 < len(marks & found.keys()) < len(marks)
+def test_trained_agents_are_there_for_every_rung_of_the_ladder():
+    assert "trained agents for every rung of `ladder-1`." in (DOCS / "ladder.md").read_text()
+    assert {f"ladder-1/{rung.name}" for rung in load_benchmark("ladder-1")} <= list_pretrained().keys()
