@@ -352,7 +352,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun], measur
         score=_estimate(compute_iqm, returns, (min(0.0, *map(np.min, returns)), max(1.0, *map(np.max, returns)))),
         area=_estimate(compute_iqm, areas),
         regret=_estimate(compute_mean, [np.array(room) for room in regrets]) if all(map(len, regrets)) else None,
-        unseen=_estimate_unseen(occupied, efficiencies),
+        unseen=_estimate_unseen(comparison, occupied, efficiencies),
         stuck=float(np.mean([result.is_stuck for result in results])),
         gap=split_gap(efficiency.value, reachable),
         curve=_make_curve(occupied, budget, lengths),
@@ -370,7 +370,19 @@ def _get_length_bounds(comparison: Comparison) -> tuple[float, float] | None:
     """Return the least and most primitives of an episode, or None if the most are not known."""
     horizons = [place.instance.horizon for place in comparison.places if isinstance(place, RunPlace)]
     return (1.0, float(max(horizons))) if horizons else None
-def _estimate_unseen(rooms: Sequence[Sequence[RunResult]], efficiencies: Sequence[Floats]) -> Estimate | None:
+
+
+def _estimate_unseen(comparison: Comparison, rooms: Sequence[Sequence[RunResult]], efficiencies: Sequence[Floats]
+                     ) -> Estimate | None:
+    """Return the mean over rooms of one configuration: rooms with runs of their own, or rooms that all runs share."""
+    if len({place.instance.name for place in comparison.places if isinstance(place, RunPlace)}) != 1:
+        return None
+    if len(rooms) > 1:
+        return compute_nested_interval(efficiencies)
+    score_range, tested = rooms[0][0].score_range, [result.room_efficiencies for result in rooms[0]]
+    if score_range is None or len(set(score_range.starts)) < 2 or len(set(map(len, tested))) > 1:
+        return None
+    return compute_crossed_interval(np.stack(tested, axis=1))
 
 
 def _make_rng() -> np.random.Generator:
