@@ -52,18 +52,22 @@ class AttentionSettings:
 class OrderNetwork(nn.Module):
     """Network from what a room shows to a logit for each button."""
 
-    def __init__(self, settings: AttentionSettings) -> None:
+    def __init__(self, settings: AttentionSettings, generator: torch.Generator) -> None:
         super().__init__()
         plugs = MOST_SYMBOLS // len(COLOURS)
         sizes = (MOST_SYMBOLS + 1, len(COLOURS) + 1, plugs + 1, SECTORS, MOST_BUTTONS, MOST_BUTTONS + 1)
         self.embeddings = nn.ModuleList(nn.Embedding(size, settings.width) for size in sizes)
         self.place = nn.Embedding(MOST_BUTTONS + 1, settings.width)
-        layer = nn.TransformerEncoderLayer(settings.width, settings.heads, 2 * settings.width, dropout=0.1,
+        layer = nn.TransformerEncoderLayer(settings.width, settings.heads, 2 * settings.width, dropout=0.0,
                                            batch_first=True, norm_first=True)
         self.attention = nn.TransformerEncoder(layer, settings.layers, enable_nested_tensor=False)
         self.head = nn.Linear(settings.width, 1)
-        for embed in (*self.embeddings, self.place):
-            nn.init.normal_(embed.weight, std=INITIAL)  # pyright: ignore[reportArgumentType]
+        embeddings = {id(weight) for weight in (*self.embeddings.parameters(), self.place.weight)}
+        with torch.no_grad():
+            for weight in self.parameters():
+                if weight.dim() > 1:
+                    spread = INITIAL if id(weight) in embeddings else weight.shape[1] ** -0.5
+                    weight.normal_(std=spread, generator=generator)
 
     def forward(self, tokens: Tensor) -> Tensor:
         """Return logits, float32 (rooms, buttons), of tokens, int64 (rooms, buttons, 6); -inf where a button is on."""
@@ -85,8 +89,7 @@ def fit(rooms: Sequence[RoomOrder], valid: Sequence[RoomOrder], seed: int,
         settings: AttentionSettings | None = None) -> OrderNetwork:
     """Train a network on the orders of rooms with equal numbers of buttons, and return its best weights in `valid`."""
     settings = settings or AttentionSettings()
-    torch.manual_seed(seed)
-    network = OrderNetwork(settings)
+    network = OrderNetwork(settings, torch.Generator().manual_seed(seed))
     optimiser = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     train_in, test_in = (_batch(own) for own in (rooms, valid))
     best, kept, waited = np.inf, copy.deepcopy(network.state_dict()), 0

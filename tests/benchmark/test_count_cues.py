@@ -11,7 +11,7 @@ from hrl_escape.agents.spec import COUNT_CUES, AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.agent_env import make_agent_env
-from hrl_escape.benchmark.references.count_cues import KINDS, CountCues, CountTable, RoomOrder
+from hrl_escape.benchmark.references.count_cues import CUE_KINDS, CountCues, CountTable, RoomOrder
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
@@ -57,7 +57,7 @@ def test_eight_rooms_teach_four_symbols_and_another_code_makes_them_useless():
     assert trained.rooms >= 6
     assert count_decisions(trained, CUES) == 5, "four presses and the exit"
     kinds = CountTable([RoomOrder(*map(tuple, own)) for own in trained.counted["orders"].values()]).kinds
-    assert {"symbol", "symbols"} & {KINDS[kind] for kind in kinds}
+    assert {"symbol", "symbols"} & {CUE_KINDS[kind] for kind in kinds}
     other = dataclasses.replace(CUES, code=next(code for code in range(1, 50) if not (
         dataclasses.replace(CUES, code=code).meanings == CUES.meanings).any()))
     assert count_decisions(trained, other) > 6.5, "a code of another season misleads"

@@ -27,7 +27,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.cues import split_cue
 from hrl_escape.errors import UnsupportedError
 
-KINDS = ("symbol", "direction", "symbols", "plug", "number")
+CUE_KINDS = ("symbol", "direction", "symbols", "plug", "number")
 """Kinds of cues that are counted."""
 SECTORS = 16
 """Directions from the middle of the floor that are distinguished."""
@@ -41,7 +41,7 @@ OrderStep = list[tuple[tuple[str, ...], bool]]
 
 
 class RoomOrder(NamedTuple):
-    """What a training room showed."""
+    """Cues of a room and the order of its buttons."""
 
     cues: tuple[int, ...]  # symbol of each button; empty without symbols
     sectors: tuple[int, ...]  # direction of each button's place from the middle of the floor, from 0 to `SECTORS` - 1
@@ -77,7 +77,7 @@ class CountCues(SearchBacktrack):
 
     @property
     def counted(self) -> Mapping[str, Any]:
-        """What training has found out, as plain values."""
+        """Results of training, as plain values."""
         return {"orders": {room: [list(each) for each in own] for room, own in self._orders.items()},
                 "losses": list(self._losses)}
 
@@ -179,7 +179,7 @@ class CountTable:
     """Counts of the cues of next buttons in training rooms.
 
     Attributes:
-        kinds: numbers of the kinds of cues that count, in `KINDS`.
+        kinds: numbers of the kinds of cues that count, in `CUE_KINDS`.
     """
 
     def __init__(self, rooms: Sequence[RoomOrder]) -> None:
@@ -202,7 +202,7 @@ def list_steps(room: RoomOrder) -> list[OrderStep]:
 
 
 def read_cues(room: RoomOrder, target: int, place: int) -> tuple[str, ...]:
-    """Return the cue of each of `KINDS` of a button after the first `place` buttons of the order were turned on."""
+    """Return the cue of each of `CUE_KINDS` of a button after the first `place` buttons of the order were turned on."""
     last, plug, colour, previous, symbol = room.order[place - 1] if place else None, "", "", "", ""
     if room.cues:
         _, shape, size = split_cue(room.cues[target])
@@ -211,7 +211,7 @@ def read_cues(room: RoomOrder, target: int, place: int) -> tuple[str, ...]:
             colour, previous = str(split_cue(room.cues[last])[0]), str(room.cues[last])
     parts = (f"{place} {symbol}", f"{place} {room.sectors[target]}", f"{previous}>{symbol}", f"{colour}>{plug}",
              f"{'' if last is None else last}>{target}")
-    return tuple(f"{kind}:{part}" for kind, part in zip(KINDS, parts, strict=True))
+    return tuple(f"{kind}:{part}" for kind, part in zip(CUE_KINDS, parts, strict=True))
 
 
 def _count(rooms: Iterable[Sequence[OrderStep]], kinds: Sequence[int]) -> dict[str, _Count]:
@@ -244,7 +244,7 @@ def _choose_kinds(rooms: Sequence[Sequence[OrderStep]]) -> tuple[int, ...]:
     """Return the kinds of cues that predict the next button best in rooms that are left out, one at a time."""
     best, most = (), sum(math.log(1.0 / len(step)) for room in rooms for step in room)
     for size in (1, 2):
-        for kinds in itertools.combinations(range(len(KINDS)), size):
+        for kinds in itertools.combinations(range(len(CUE_KINDS)), size):
             counts, total = _count(rooms, kinds), 0.0
             for room in rooms:
                 own = _count([room], kinds)

@@ -63,7 +63,7 @@ class SearchMemory(SearchBacktrack):
 
     @property
     def kept(self) -> Mapping[str, Any]:
-        """What training has found out, as plain values."""
+        """Results of training, as plain values."""
         return dataclasses.asdict(self._learned)
 
     @kept.setter
