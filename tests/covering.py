@@ -16,7 +16,7 @@ def cover(rows: Sequence[Any], columns: Sequence[Any]) -> list[Any]:
     The fast tests see a rule that fails for a row or for a column, the nightly ones a rule that fails for one pair.
     """
     quick = {(place % len(rows), place % len(columns)) for place in range(max(len(rows), len(columns)))}
-    return [pytest.param(row, column, cues=() if (i, j) in quick else pytest.mark.nightly)
+    return [pytest.param(row, column, marks=() if (i, j) in quick else pytest.mark.nightly)
             for i, row in enumerate(rows) for j, column in enumerate(columns)]
 
 
@@ -27,5 +27,5 @@ def thin(values: Sequence[Any], step: int, first: int = 0) -> list[Any]:
     that begin at other places cover each other's gaps.
     """
     return [pytest.param(*(value if isinstance(value, tuple) else (value,)),
-                         cues=() if place % step == first else pytest.mark.nightly)
+                         marks=() if place % step == first else pytest.mark.nightly)
             for place, value in enumerate(values)]

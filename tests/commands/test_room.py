@@ -158,7 +158,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     (["--set", "room.widht=30"], "unknown path of --set 'room.widht'; did you mean 'room.width'?"),
     (["--set", "rom.width=30"], "did you mean 'room.width'?"),
     (["--set", "rom=30"], "did you mean 'room'?"),
-    (["--set", "puzzle.marcs.kind=rank"], "did you mean 'puzzle.cues.kind'?"),
+    (["--set", "puzzle.cuees.kind=rank"], "did you mean 'puzzle.cues.kind'?"),
     (["--set", "puzzle.buttons.count=12"], "'count' is in puzzle.count, "),
     (["--set", "puzzle.buttons.size=12"], "Known: puzzle.buttons.centre_height, puzzle.buttons.gap"),
     (["--set", "puzzle.kind=hanoi", "puzzle.count=3"], "puzzle.discs"),

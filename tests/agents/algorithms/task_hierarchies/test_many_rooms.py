@@ -192,7 +192,7 @@ OWNERS = ("maxq-q", "hamq", "hq-learning")
 
 @pytest.mark.nightly_for("smdp-hq-learning", "smdp-maxq-q", "maxq-q", "smdp-hamq")
 @pytest.mark.parametrize("name", [
-    *(pytest.param(name, cues=() if name == "maxq-q" else pytest.mark.slow) for name in list_hierarchy_agents()),
+    *(pytest.param(name, marks=() if name == "maxq-q" else pytest.mark.slow) for name in list_hierarchy_agents()),
     *(f"smdp-{name}" for name in OWNERS)])
 def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, monkeypatch):
     def make():
