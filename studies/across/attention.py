@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hrl_escape.benchmark.references.count_cues import SECTORS, CountCues, RoomOrder
+from hrl_escape.benchmark.references.count_cues import CUE_SECTORS, CountCues, RoomOrder
 from hrl_escape.env.puzzles.cues import COLOURS, MOST_SYMBOLS
 
 __all__ = ["AttentionCues", "AttentionSettings", "OrderNetwork", "fit"]
@@ -55,18 +55,18 @@ class OrderNetwork(nn.Module):
     def __init__(self, settings: AttentionSettings, generator: torch.Generator) -> None:
         super().__init__()
         plugs = MOST_SYMBOLS // len(COLOURS)
-        sizes = (MOST_SYMBOLS + 1, len(COLOURS) + 1, plugs + 1, SECTORS, MOST_BUTTONS, MOST_BUTTONS + 1)
+        sizes = (MOST_SYMBOLS + 1, len(COLOURS) + 1, plugs + 1, CUE_SECTORS, MOST_BUTTONS, MOST_BUTTONS + 1)
         self.embeddings = nn.ModuleList(nn.Embedding(size, settings.width) for size in sizes)
         self.place = nn.Embedding(MOST_BUTTONS + 1, settings.width)
         layer = nn.TransformerEncoderLayer(settings.width, settings.heads, 2 * settings.width, dropout=0.0,
                                            batch_first=True, norm_first=True)
         self.attention = nn.TransformerEncoder(layer, settings.layers, enable_nested_tensor=False)
         self.head = nn.Linear(settings.width, 1)
-        embeddings = {id(weight) for weight in (*self.embeddings.parameters(), self.place.weight)}
+        small = {id(weight) for weight in (*self.embeddings.parameters(), self.place.weight, self.head.weight)}
         with torch.no_grad():
             for weight in self.parameters():
                 if weight.dim() > 1:
-                    spread = INITIAL if id(weight) in embeddings else weight.shape[1] ** -0.5
+                    spread = INITIAL if id(weight) in small else 0.5 * weight.shape[1] ** -0.5
                     weight.normal_(std=spread, generator=generator)
 
     def forward(self, tokens: Tensor) -> Tensor:

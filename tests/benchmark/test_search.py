@@ -361,7 +361,7 @@ def test_places_tell_a_whole_chain_and_of_other_graphs_what_their_depths_tell():
         assert 0 < told <= hidden and (kind == "tree" or told == pytest.approx(hidden) == pytest.approx(np.log2(24)))
         bare = dataclasses.replace(puzzle, positional_cues=PositionalCuesConfig())
         assert measure_information(bare, rooms)[0] == pytest.approx(0)
-    with pytest.raises(UnsupportedError, match="sections with"):
+    with pytest.raises(UnsupportedError, match="positional cues with"):
         GraphParticles(dataclasses.replace(puzzle, count=7), 7, np.random.default_rng(0))
 
 

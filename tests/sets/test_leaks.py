@@ -58,7 +58,7 @@ def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], ND
         symbols = np.array(puzzle.cues or np.zeros(COUNT))[:, None]
         found.append(np.concatenate([numbers[:, kept], numbers[:, width:], symbols], axis=1))
         depths.append(compute_depths(COUNT, puzzle.edge_list))
-        if sections.count:
+        if sections.sections:
             classes.append(np.argsort(sections.sort_places([(target.x, target.y) for target in targets])))
         else:
             classes.append(rules.meanings[list(puzzle.cues)] if puzzle.cues else np.zeros(COUNT))

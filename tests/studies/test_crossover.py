@@ -19,19 +19,18 @@ def test_jobs_are_the_rooms_of_both_slices_once_each():
     assert [job.buttons for job in jobs] == sorted(job.buttons for job in jobs)
 
 
-def test_a_known_ratio_is_found_and_censoring_does_not_bias_it():
+def test_a_known_ratio_is_found_and_censored_runs_do_not_pull_it_to_1():
     rng = np.random.default_rng(1)
-    learner = np.exp(rng.normal(7.0, 0.5, 200))
-    search = learner * 0.5 * np.exp(rng.normal(0, 0.3, 200))
+    search = np.exp(rng.normal(6.0, 0.3, 300))
+    learner = search / (0.1 * np.exp(rng.normal(0, 0.5, 300)))
     free = estimate_ratio(list(search), list(learner), 1e9)
-    assert free.value == pytest.approx(0.5, rel=0.1) and free.low < 0.5 < 1.05 * free.high
-    budget = 1500.0
-    cut = [[value if value <= budget else None for value in values.tolist()] for values in (search, learner)]
-    assert sum(value is None for value in cut[1]) > 40
-    censored = estimate_ratio(*cut, budget)
-    assert censored.value == pytest.approx(0.5, rel=0.2) and censored.low < 0.55 < 1.2 * censored.high
-    imputed = np.exp(np.mean([np.log((one or budget) / (other or budget)) for one, other in zip(*cut, strict=True)]))
-    assert abs(np.log(censored.value / 0.5)) < abs(np.log(imputed / 0.5)), "imputed runs pull the ratio towards 1"
+    assert free.value == pytest.approx(0.1, rel=0.1) and free.low < 0.1 * 1.05 and free.high > 0.1 * 0.95
+    budget = float(np.median(learner))
+    cut = [value if value <= budget else None for value in learner.tolist()]
+    censored = estimate_ratio(list(search), cut, budget)
+    assert censored.value == pytest.approx(0.1, rel=0.15) and censored.learner == 150
+    imputed = np.exp(np.mean([np.log(one / (other or budget)) for one, other in zip(search, cut, strict=True)]))
+    assert imputed > 0.12, "a mean with the budget in place of censored runs does"
 
 
 def test_ends_are_open_where_one_side_never_escapes():

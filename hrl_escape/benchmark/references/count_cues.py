@@ -29,7 +29,7 @@ from hrl_escape.errors import UnsupportedError
 
 CUE_KINDS = ("symbol", "direction", "symbols", "plug", "number")
 """Kinds of cues that are counted."""
-SECTORS = 16
+CUE_SECTORS = 16
 """Directions from the middle of the floor that are distinguished."""
 PRIOR = 1.0
 """Weight of the odds without cues, in buttons."""
@@ -44,7 +44,7 @@ class RoomOrder(NamedTuple):
     """Cues of a room and the order of its buttons."""
 
     cues: tuple[int, ...]  # symbol of each button; empty without symbols
-    sectors: tuple[int, ...]  # direction of each button's place from the middle of the floor, from 0 to `SECTORS` - 1
+    sectors: tuple[int, ...]  # direction of each button from the middle of the floor, from 0 to `CUE_SECTORS` - 1
     order: tuple[int, ...]  # buttons in the order in which they were turned on
 
 
@@ -147,8 +147,8 @@ class CountCues(SearchBacktrack):
         """Return what the room shows so far."""
         room = self._room.instance
         turns = (math.atan2(target.y, target.x) % math.tau / math.tau for target in room.targets)
-        return RoomOrder(tuple(room.puzzle.cues), tuple(min(int(turn * SECTORS), SECTORS - 1) for turn in turns),
-                         tuple(self._lit))
+        sectors = tuple(min(int(turn * CUE_SECTORS), CUE_SECTORS - 1) for turn in turns)
+        return RoomOrder(tuple(room.puzzle.cues), sectors, tuple(self._lit))
 
     def _weigh(self, room: RoomOrder, off: Sequence[int]) -> Sequence[float] | None:
         """Return the probability that each of the buttons that are off is next, or None if nothing is known."""
