@@ -180,7 +180,7 @@ def test_the_planner_that_knows_the_room_is_no_contender():
         ({"dqn": [*GOOD[:4], None, None]}, "Some runs have no result and count nowhere: `dqn` 2 of 6."),
         ({"dqn": GOOD, "ppo": [None] * 10}, "Some runs have no result and count nowhere: `ppo` all 10."),
         ({"smdp-dqn": GOOD}, "No random policy over the same options was run for `smdp-dqn`"),
-        ({"smdp-dqn": GOOD, "sweep": GOOD}, "No search baseline such as `search-backtrack` was run"),
+        ({"smdp-dqn": GOOD, "sweep": GOOD}, "No search baseline such as `search-memory` was run"),
         ({"dqn": [make_result([80.0], source="ceiling")] * 6}, "No plan is known for paper-two-button"),
     ],
 )
