@@ -341,7 +341,8 @@ def _write_cautions(summary: Summary) -> list[str]:
         cautions.append(f"No random policy over the same options was run for {join_words(unmatched)}, so the share of "
                         f"the score that {brought} bring is unknown.")
     bar = references.SEARCH_BACKTRACK if grid.train_rooms else references.SEARCH_MEMORY
-    has_search = any(agent.spec.name in references.SEARCH_BASELINES for agent in summary.agents)
+    searches = (*references.SEARCH_METHODS, references.SEARCH_MEMORY)
+    has_search = any(agent.spec.name in searches for agent in summary.agents)
     if grid.env is None and learners and not has_search:
         cautions.append(f"No search baseline such as `{bar}` was run, so what can be reached without learning is "
                         "unknown.")

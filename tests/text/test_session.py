@@ -259,7 +259,7 @@ def test_marks_are_told_and_a_failed_puzzle_too():
         colour, plug = COLOURS[mark % 8], mark // 8
         words = f"{SIZES[plug // 4]} {colour} {SHAPES[plug % 4]}"
         assert re.search(rf'"{target.name}" at \([^)]*\), off, marked with a {words}[;.]', said)
-    room = next(room for room in rooms["rules"].train[:8] if room.puzzle.on_violation == "fail")
+    room = next(room for room in rooms["hidden-rules"].train[:8] if room.puzzle.on_violation == "fail")
     late = next(button for button, parents in enumerate(room.puzzle.parent_masks) if parents)
     result = make_session(room).call("run_option", {"option": f"press-button-{late + 1}"})
     assert f'Pressed "button-{late + 1}": the puzzle is failed.' in result.text and "over" in result.text
