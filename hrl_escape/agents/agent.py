@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from hrl_escape.agents.decisions import AgentPolicy, Policy, SMDPTransition
+from hrl_escape.agents.decisions import AgentPolicy, Policy, SMDPTransition, read_action
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
@@ -87,8 +87,8 @@ class Agent(Stateful, ABC):
     `hrl_escape.agents.state`.
 
     For `make_agent` by name, a class also has `Settings`, a frozen dataclass such as an `AgentSettings`. It is
-    constructed as `Class(observation_space, action_space, seed, settings)` with Discrete actions; the seed determines
-    all of its randomness. It is published under the entry-point group `hrl_escape.agents`:
+    constructed as `Class(observation_space, action_space, seed, settings)`, with Discrete or Box actions as the class
+    supports; the seed determines all of its randomness. It is published under the entry-point group `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]
         my-agent = "my_package.my_module:MyAgent"
@@ -104,6 +104,8 @@ class Agent(Stateful, ABC):
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
     """Name -> settings, in addition to `default`, which is `Settings()`; prefixed with `smdp-` for agents over
     options."""
+    acts_in: ClassVar[tuple[str, ...]] = ("discrete",)
+    """Action spaces that it supports: `discrete`, `box` or both."""
     needs_trace: ClassVar[bool] = False
     """True if the agent learns from `SMDPTransition.trace`; `train` then turns traces on in environments of options."""
     is_frozen: ClassVar[bool] = False
@@ -121,8 +123,9 @@ class Agent(Stateful, ABC):
     """Information that it is given and a flat agent is not."""
     _evaluation: tuple[Any, ...] | None = None
     """Generator of the running evaluation, which identifies it, and the agent's memory of its episode."""
-    made_for: int | None = None
-    """Number of actions of the space it was made with, or None if its class is constructed in another way."""
+    made_for: int | tuple[int, ...] | None = None
+    """Number of actions of the Discrete space, or shape of the Box, that it was made with; None if its class is
+    constructed in another way."""
 
     def __init_subclass__(cls, **named: Any) -> None:
         """Set the default name, of the file for an algorithm and of the class otherwise, and find `Settings`."""
@@ -145,8 +148,8 @@ class Agent(Stateful, ABC):
         """Record the number of actions."""
         made = super().__new__(cls)
         space = named.get("action_space", arguments[1] if len(arguments) > 1 else None)
-        if isinstance(space, gymnasium.spaces.Discrete):
-            made.made_for = int(space.n)
+        if isinstance(space, (gymnasium.spaces.Discrete, gymnasium.spaces.Box)):
+            made.made_for = _find_form(space)
         return made
 
     @property
@@ -155,11 +158,14 @@ class Agent(Stateful, ABC):
         return self.settings.gamma
 
     @abstractmethod
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Choose an action for learning: explore, from the agent's own generator."""
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
+        """Choose an action for learning: explore, from the agent's own generator.
+
+        An int in a Discrete space; in a Box a float32 array, and the mask is empty.
+        """
 
     @abstractmethod
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> Any:
         """Choose an action for evaluation, without any change of the agent.
 
         A stochastic policy draws from `rng`, never from the agent's own generator. Evaluating twice then gives the same
@@ -238,7 +244,7 @@ class FixedPolicy(Agent):
     STATE = ()
     settings: Any = DiscountSettings()
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> Any:
         """Return the choice of `act`."""
         return self.act(observation, action_mask)
 
@@ -334,11 +340,13 @@ def read_goal_rule(env: gymnasium.Env) -> GoalRule | None:
 def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]:
     """Read `info["action_mask"]` as bool (actions,) of its own memory; without one, all actions are legal.
 
+    A Box has no mask: with `actions` 0 the result is empty.
+
     Raises:
         StepContractError: the mask has another length, or no action is legal.
     """
     mask = info.get("action_mask")
-    if mask is None:
+    if mask is None or not actions:
         return np.ones(actions, dtype=np.bool_)
     legal = np.asarray(mask) != 0
     if legal.shape != (actions,):
@@ -401,7 +409,7 @@ def check_observation(observation: Any, when: str) -> None:
         raise StepContractError(f"the observation {when} is {observation}; observations must be finite numbers")
 
 
-def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_],
+def make_transition(observation: Any, action: Any, action_mask: NDArray[np.bool_],
                     step: tuple[Any, Any, bool, bool, Mapping[str, Any]], gamma: float) -> SMDPTransition:
     """Turn the result of `env.step` into an SMDP transition at this gamma.
 
@@ -431,7 +439,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     Args:
         observation: at the decision.
         action: the action taken.
-        action_mask: bool (actions,), the actions legal there.
+        action_mask: bool (actions,), the actions legal there; (0,) for a Box.
         step: the result of `env.step(action)`.
         gamma: discount per primitive.
 
@@ -449,7 +457,7 @@ def make_transition(observation: Any, action: int, action_mask: NDArray[np.bool_
     duration = paid.duration
     option = read_option(info)
     cut = truncated and not terminated and (duration > 1 if option is None else option["ended"] == "episode-over")
-    return SMDPTransition(observation, int(action), action_mask, paid.compute_discounted(gamma), paid.summed, duration,
+    return SMDPTransition(observation, read_action(action), action_mask, paid.compute_discounted(gamma), paid.summed, duration,
                           gamma**duration, next_observation, read_action_mask(info, len(action_mask)),
                           bool(terminated), bool(truncated), read_trace(info, duration), bool(cut))
 
@@ -505,21 +513,38 @@ def count_actions(action_space: gymnasium.Space, agent: str) -> int:
         UnsupportedSpaceError: the space is of another kind.
     """
     if not isinstance(action_space, gymnasium.spaces.Discrete) or action_space.start != 0:
-        raise UnsupportedSpaceError(f"{agent} chooses among Discrete(n) actions from 0, not {action_space}")
+        advice = "; `hrl-escape list agents` shows which agents act in a Box" if isinstance(
+            action_space, gymnasium.spaces.Box) else ""
+        raise UnsupportedSpaceError(f"{agent} chooses among Discrete(n) actions from 0, not {action_space}{advice}")
     return int(action_space.n)
 
 
-def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
-    """Number of actions of an environment that is to run an agent.
+def count_choices(action_space: gymnasium.Space, agent: str) -> int:
+    """Length of action masks: the number of actions of a Discrete space that starts at 0, and 0 for a Box.
 
     Raises:
-        UnsupportedSpaceError: the space is not Discrete(n) from 0, or the agent was made for another number.
+        UnsupportedSpaceError: the space is of another kind.
+    """
+    return 0 if isinstance(action_space, gymnasium.spaces.Box) else count_actions(action_space, agent)
+
+
+def _find_form(action_space: gymnasium.spaces.Discrete | gymnasium.spaces.Box) -> int | tuple[int, ...]:
+    """Number of actions of a Discrete space, or shape of a Box."""
+    return action_space.shape if isinstance(action_space, gymnasium.spaces.Box) else int(action_space.n)
+
+
+def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
+    """Length of action masks of an environment that is to run an agent; see `count_choices`.
+
+    Raises:
+        UnsupportedSpaceError: the space is neither a Box nor Discrete(n) from 0, or the agent was made for another.
     """
     name = type(agent).__name__
-    actions = count_actions(action_space, name)
-    if agent.made_for not in (None, actions):
-        raise UnsupportedSpaceError(f"this {name} was made for {agent.made_for} actions, and the environment has "
-                                    f"{actions}: give the environment of its training, with options where it had them")
+    actions = count_choices(action_space, name)
+    if agent.made_for not in (None, _find_form(action_space)):
+        made, has = (f"a Box of shape {form}" if isinstance(form, tuple) else f"{form} actions"
+                     for form in (agent.made_for, _find_form(action_space)))
+        raise UnsupportedSpaceError(f"this {name} was made for {made}, and the environment has {has}: give the environment of its training, with options where it had them")
     return actions
 
 

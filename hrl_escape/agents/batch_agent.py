@@ -40,7 +40,7 @@ class BatchAgent(Agent):
 
     @abstractmethod
     def act(self, batch: Moments) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Choose actions for learning, int64 (n,)."""
+        """Choose actions for learning, int64 (n,), or float32 (n, ...) of a Box."""
 
     @abstractmethod
     def observe(self, batch: Decisions) -> Mapping[str, float]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -70,7 +70,7 @@ class BatchAgent(Agent):
             for name, part in self.list_running().items():
                 part.load_state_dict(saved[name])
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> Any:
         """Choose as `make_policy` does, in the episode of `rng`."""
         if (known := self.recall(rng)) is None:
             policy = self.make_policy()

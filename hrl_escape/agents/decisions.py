@@ -19,8 +19,8 @@ class SMDPTransition(NamedTuple):
 
     Attributes:
         observation: at the decision, as the environment gave it.
-        action: index in the action space.
-        action_mask: bool (actions,), the actions legal there.
+        action: index in a Discrete action space, or float32 array of a Box.
+        action_mask: bool (actions,), the actions legal there; (0,) for a Box.
         reward: R = sum over i < k of gamma^i r_i, at the agent's gamma.
         summed_reward: the undiscounted sum of r_i.
         duration: k >= 1, the number of primitives that ran.
@@ -34,7 +34,7 @@ class SMDPTransition(NamedTuple):
     """
 
     observation: Any
-    action: int
+    action: Any
     action_mask: NDArray[np.bool_]
     reward: float
     summed_reward: float
@@ -53,7 +53,7 @@ class Moments(NamedTuple):
 
     env: Any  # int64 (n,), environment of each row; no environment has two rows
     observation: Any  # tensor (n, ...), or a sequence of n observations of any space
-    action_mask: Any  # bool (n, actions), the legal actions
+    action_mask: Any  # bool (n, actions), the legal actions; (n, 0) for a Box
 
 
 class Decisions(NamedTuple):
@@ -62,7 +62,7 @@ class Decisions(NamedTuple):
     env: Any  # int64 (n,), environment of each row; no environment has two rows
     observation: Any  # tensor (n, ...), or a sequence of n observations of any space
     action_mask: Any  # bool (n, actions)
-    action: Any  # int64 (n,)
+    action: Any  # int64 (n,), or float32 (n, ...) of a Box
     reward: Any  # float32 (n,), R = sum over i < k of gamma^i r_i at the agent's gamma
     summed_reward: Any  # float32 (n,)
     duration: Any  # int64 (n,), k
@@ -75,6 +75,11 @@ class Decisions(NamedTuple):
 
 
 _ONLY = np.zeros(1, np.int64)
+
+
+def read_action(action: Any) -> Any:
+    """Return an action as an int, or as a float32 array if it has components."""
+    return np.asarray(action, np.float32) if np.ndim(action) else int(action)
 
 
 def make_moment(observation: Any, action_mask: NDArray[np.bool_]) -> Moments:
@@ -94,7 +99,7 @@ def make_decision(one: SMDPTransition) -> Decisions:
 def read_decision(batch: Decisions) -> SMDPTransition:
     """Return the decision of a batch of one environment, with Python numbers; rewards are rounded to float32."""
     return SMDPTransition(
-        batch.observation[0], int(batch.action[0]), batch.action_mask[0], float(batch.reward[0]),
+        batch.observation[0], read_action(batch.action[0]), batch.action_mask[0], float(batch.reward[0]),
         float(batch.summed_reward[0]), int(batch.duration[0]), float(batch.discount[0]), batch.next_observation[0],
         batch.next_action_mask[0], bool(batch.terminated[0]), bool(batch.truncated[0]), *batch.trace)
 
@@ -114,7 +119,7 @@ class Policy(ABC):
 
     @abstractmethod
     def act(self, batch: Moments) -> Any:
-        """Choose actions, int64 (n,)."""
+        """Choose actions, int64 (n,), or float32 (n, ...) of a Box."""
 
     def note_outcome(self, transition: SMDPTransition) -> None:  # noqa: B027 - optional: most agents keep nothing of it
         """Receive the outcome of the latest choice in one environment; ignored by default.
@@ -122,9 +127,9 @@ class Policy(ABC):
         Hierarchical policies count the primitives of a call.
         """
 
-    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
         """Choose in one environment; the mask is bool (actions,)."""
-        return int(self.act(make_moment(observation, action_mask))[0])
+        return read_action(self.act(make_moment(observation, action_mask))[0])
 
 
 class AgentPolicy(Policy):
@@ -144,7 +149,7 @@ class AgentPolicy(Policy):
         """Choose in one environment."""
         return np.array((self.choose(batch.observation[0], batch.action_mask[0]),))
 
-    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
         """Choose in one environment."""
         with _Episode(self):
             return self._agent.act_greedy(observation, action_mask, self._rng)

@@ -22,7 +22,7 @@ class EndedDecisions(NamedTuple):
 
     where: Tensor  # environments whose decision ended, bool (environments,)
     observation: Tensor  # at the decision
-    action: Tensor  # chosen there, int64
+    action: Tensor  # chosen there, int64, or float32 (environments, ...) of a Box
     reward: Tensor  # sum of the primitive rewards, float32
     discounted_reward: Tensor  # R = sum over i < k of gamma^i r_i at the environments' gamma, float32
     duration: Tensor  # k >= 1, the primitives that ran
@@ -62,7 +62,7 @@ class ManyEnvs(Protocol):
 
     @property
     def action_mask(self) -> Tensor:
-        """Actions legal now, bool (environments, actions)."""
+        """Actions legal now, bool (environments, actions); (environments, 0) for a Box."""
         ...
 
     @property

@@ -4,7 +4,7 @@
 
 ratio = pi(o | s) / pi_old(o | s) over legal actions. A is the generalised advantage: delta = R + b V(s') - V(s),
 A = delta + b lambda A', with b = gamma^k (1 - terminated) of each decision. Schulman et al. (2017), advantages by
-Schulman et al. (2016), masks by Huang and Ontanon (2022).
+Schulman et al. (2016), masks by Huang and Ontanon (2022). In a Box pi is Gaussian, and its entropy is exact.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import AgentSettings, compute_backup, count_actions
+from hrl_escape.agents.agent import AgentSettings, compute_backup, count_choices
 from hrl_escape.agents.batch_agent import BatchAgent
 from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.box_actions import BoxActions
 from hrl_escape.agents.components.distillation import make_bonus
+from hrl_escape.agents.components.distributions import CategoricalHead, GaussianHead
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.memory import Recollections, make_memory
 from hrl_escape.agents.components.networks import (
@@ -37,9 +39,7 @@ from hrl_escape.agents.components.policy_gradient import (
     RolloutBuffer,
     compute_advantages,
     compute_clipped_parts,
-    compute_log_policy,
     compute_next_values,
-    take_column,
 )
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Stateful
@@ -82,6 +82,9 @@ class PPOSettings(AgentSettings):
     """Weight of the policy's entropy. More explores for longer."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error."""
+    log_std: float = 0.0
+    """Initial logarithm of the Gaussian's standard deviation, for actions in a Box scaled to [-1, 1]. Higher values
+    explore more."""
 
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, for the
@@ -125,12 +128,13 @@ class PPO(BatchAgent):
     counts in the next one, with its probability at the choice.
 
     Attributes:
-        policy: logits of the actions.
+        policy: logits of the actions; means in a Box.
         critic: V in scaled rewards.
         rollout: decisions since the last round of updates.
     """
 
     settings: PPOSettings
+    acts_in = ("discrete", "box")
     is_markov: bool = True
     STATE = ("_learner", "_bonus", "_batch_rng")
 
@@ -138,17 +142,19 @@ class PPO(BatchAgent):
                  settings: PPOSettings | None = None) -> None:
         self.settings = settings = settings or PPOSettings()
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        self._seed, actions = seed, count_actions(action_space, self.name)
+        self._seed, self._actions = seed, count_choices(action_space, self.name)
+        self._box = None if self._actions else BoxActions(action_space, self.name)
         generator = make_generator(make_rng(seed, "weights"))
         self._memory = make_memory(self._encoder, settings.memory, settings.memory_units, settings.memory_span,
                                    settings.network == "objects", generator)
         self.policy = make_action_network(self._encoder, action_space, settings, generator, 0.01, self._memory.size)
         self.critic = make_state_network(self._encoder, settings, generator, self._memory.size)
-        networks = {"policy": self.policy, "critic": self.critic, **self._memory.networks}
+        self._head = CategoricalHead() if self._box is None else GaussianHead(self._box, settings.log_std)
+        networks = {"policy": self.policy, "critic": self.critic, **self._memory.networks, **self._head.networks}
         self._learner = Learner(self.name, networks, networks, settings)
         self._bonus = make_bonus(observation_space, seed, settings, self.name)
         self._batch_rng = make_rng(seed, "batches")
-        self.is_markov, self._actions = self._memory.size == 0, actions
+        self.is_markov = self._memory.size == 0
         self._prepare(1, None)
 
     def _prepare(self, num_envs: int, device: torch.device | None) -> None:
@@ -156,7 +162,7 @@ class PPO(BatchAgent):
         self._arrays = Arrays(make_rng(self._seed, "actions" if device is None else "streams"), device)
         self._recollections = Recollections(self._memory, num_envs, self._arrays)
         self._least = max(self.settings.rollout, 0 if device is None else self.settings.rollout_per_env * num_envs)
-        self.rollout = RolloutBuffer(self._arrays, num_envs)
+        self.rollout = RolloutBuffer(self._arrays, num_envs, 0 if self._box is None else self._box.size)
 
     def begin_episodes(self, num_envs: int = 1, device: torch.device | None = None) -> None:
         """Begin episodes; with as many environments as before, episodes of the present rollout count as truncated."""
@@ -168,11 +174,10 @@ class PPO(BatchAgent):
             self._prepare(num_envs, device)
 
     def act(self, batch: Moments) -> Any:
-        """Draw from the policy over legal actions, int64 (n,)."""
+        """Draw from the policy: legal actions, int64 (n,), or actions in the Box, float32 (n, ...)."""
         seen = self._recollections.see(batch.env, self._encoder.encode_batch(batch.observation))
-        log_policy = compute_log_policy(self.policy.evaluate(seen), batch.action_mask)
-        action = self._arrays.draw_choices(self._arrays.library.exp(log_policy))
-        self.rollout.note_choice(batch.env, take_column(log_policy, action))
+        action, choice, log_probability = self._head.draw(self.policy.evaluate(seen), batch.action_mask, self._arrays)
+        self.rollout.note_choice(batch.env, choice, log_probability)
         return action
 
     def observe(self, batch: Decisions) -> Mapping[str, float]:
@@ -181,7 +186,7 @@ class PPO(BatchAgent):
         reward = (reward + self._bonus.visit_batch(batch.next_observation)) * self.settings.reward_scale
         over = batch.terminated | batch.truncated
         self.rollout.add(
-            self._encoder.encode_batch(batch.observation), batch.action_mask, batch.action,
+            self._encoder.encode_batch(batch.observation), batch.action_mask, self.rollout.choice[batch.env],
             self.rollout.log_probability[batch.env], reward, bootstrap, batch.duration, over,
             self._encoder.encode_batch(batch.next_observation), self._recollections.end(batch.env, over), batch.env)
         return self.improve(self.rollout.take()) if len(self.rollout) >= self._least else {}
@@ -208,16 +213,15 @@ class PPO(BatchAgent):
     def compute_loss(self, seen: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor, advantage: Tensor,
                      target: Tensor) -> dict[str, Tensor]:
         """The loss over a minibatch, and after it its parts; `seen` are the inputs of the networks."""
-        return compute_clipped_parts(compute_log_policy(self.policy(seen), mask), mask, action,
-                                     self.critic(seen).squeeze(1), old_log_probability, advantage, target,
-                                     self.settings)
+        return compute_clipped_parts(*self._head.measure(self.policy(seen), mask, action), self.critic(seen).squeeze(1),
+                                     old_log_probability, advantage, target, self.settings)
 
     def make_policy(self) -> Policy:
-        """Make the policy that takes the likeliest legal action."""
-        return GreedyPolicy(self._encoder, self.policy, self._memory)
+        """Make the policy that takes the likeliest legal action, or the mean."""
+        return GreedyPolicy(self._encoder, self.policy, self._memory, self._box)
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the policy at an observation, before any mask, float32 (actions,).
+        """Logits of the policy, or means, at an observation, before any mask, float32 (actions,).
 
         With a memory: of the latest choice, if this was its observation, else of an episode that begins here.
         """

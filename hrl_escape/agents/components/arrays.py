@@ -54,6 +54,18 @@ class Arrays(Stateful):
             return self._generator.integers(below, size=count)
         return torch.randint(below, (count,), generator=self._generator, device=self.device)
 
+    def draw_normal(self, *shape: int) -> Any:
+        """Draw standard normal numbers, float32 of a shape."""
+        if self.library is np:
+            return self._generator.standard_normal(shape, dtype=np.float32)
+        return torch.randn(shape, generator=self._generator, device=self.device)
+
+    def draw_uniform(self, *shape: int) -> Any:
+        """Draw numbers from [0, 1), float32 of a shape."""
+        if self.library is np:
+            return self._generator.random(shape, dtype=np.float32)
+        return torch.rand(shape, generator=self._generator, device=self.device)
+
     def draw_choices(self, probabilities: Any) -> Any:
         """Draw an index from each row of probabilities, int64 (n,) from (n, choices).
 

@@ -26,7 +26,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.spaces.utils import flatten, flatten_space
+from gymnasium.spaces.utils import flatdim, flatten, flatten_space
 from numpy.typing import NDArray
 from torch import nn
 from torch.linalg import vector_norm
@@ -117,6 +117,10 @@ class ObservationEncoder:
         vector = self._parts["desired_goal"].encode(goal)
         return np.concatenate([encoded[: -len(vector)], vector])
 
+    def encode_goals(self, goals: torch.Tensor) -> torch.Tensor:
+        """Return the part of encoded observations that holds desired goals, (n, size), from goals (n, size)."""
+        return self._parts["desired_goal"].encode_many(goals)
+
     def encode_batch(self, observation: Any) -> Any:
         """Encode n observations, (n, *shape): a tensor on its device, a sequence of any other space as an array."""
         if isinstance(observation, torch.Tensor):
@@ -129,10 +133,13 @@ class ObservationEncoder:
         """Encode a batch of observations on its device, (n, ...) to (n, *shape).
 
         Raises:
-            UnsupportedSpaceError: the space is neither a Box nor Discrete.
+            UnsupportedSpaceError: the space is neither a Box nor Discrete, and has no goals.
         """
         if self.is_image:
             return observation.movedim(-1, 1).contiguous()
+        if self._parts:
+            parts = split_goals(self.space, observation)
+            return torch.cat([part.encode_many(parts[name]) for name, part in self._parts.items()], dim=1)
         if isinstance(self.space, spaces.Discrete):
             return functional.one_hot(observation.long() - int(self.space.start), int(self.space.n)).float()
         if not self._is_box:
@@ -188,6 +195,13 @@ def _keep_vector_parts(space: gymnasium.Space, name: str, left_out: dict[str, gy
 def is_goal_space(space: gymnasium.Space) -> TypeGuard[spaces.Dict]:
     """Return whether observations have goals: a Dict of `observation`, `achieved_goal` and `desired_goal`."""
     return isinstance(space, spaces.Dict) and set(space) == {"observation", "achieved_goal", "desired_goal"}
+
+
+def split_goals(space: gymnasium.Space, rows: torch.Tensor) -> dict[str, torch.Tensor]:
+    """Return the parts of flat observations with goals, (n, ...) each, from (n, numbers) in the order of the keys."""
+    assert isinstance(space, spaces.Dict)
+    sizes = [flatdim(part) for part in space.values()]
+    return dict(zip(space, rows.split(sizes, dim=1), strict=True))
 
 
 def is_image_space(space: gymnasium.Space) -> bool:
@@ -523,10 +537,13 @@ def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Spa
                         generator: torch.Generator, output_gain: float = 1.0, memory: int = 0) -> Network:
     """Make the network of one number per action, of type `settings.network`; `PointingDiscrete` assigns the objects.
 
+    In a Box it has one number per component.
+
     Raises:
         UnsupportedSpaceError: `network=objects` with observations that are not rows of objects.
     """
-    actions = count_actions(action_space, "network")
+    is_box = isinstance(action_space, spaces.Box)
+    actions = math.prod(action_space.shape) if is_box else count_actions(action_space, "network")
     if settings.network == "mlp":
         return make_network(encoder, actions, settings, generator, memory, output_gain)
     about = action_space.about if isinstance(action_space, PointingDiscrete) else (None,) * actions

@@ -29,6 +29,7 @@ from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     compute_advantages,
     compute_clipped_parts,
+    compute_entropy,
     compute_log_policy,
     find_next,
     sample_policy,
@@ -328,8 +329,8 @@ class OptionHeads:
         """
         log_policy = self.compute_log_policies(observation, option, mask)
         values = take_column(self.critic(observation), option)
-        return compute_clipped_parts(log_policy, mask, action, values, old_log_probability, advantage, target,
-                                     self.settings)
+        return compute_clipped_parts(take_column(log_policy, action), compute_entropy(log_policy, mask), values,
+                                     old_log_probability, advantage, target, self.settings)
 
 
 # --- agents -------------------------------------------------------------------------------

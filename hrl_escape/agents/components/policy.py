@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.components.arrays import draw_minibatches
+from hrl_escape.agents.components.box_actions import BoxActions
 from hrl_escape.agents.components.networks import Network, ObservationEncoder
 from hrl_escape.agents.decisions import Moments, Policy
 
@@ -53,16 +54,20 @@ class Memory:
 
 
 class GreedyPolicy(Policy):
-    """Chooses the legal action of highest score.
+    """Chooses the legal action of highest score, or the action in a Box that the network outputs.
 
     Args:
         encoder: converts observations to inputs of the network.
-        network: maps inputs to one score per action, (n, actions).
+        network: maps inputs to one score per action, (n, actions), or to points of the cube [-1, 1]^size first.
         memory: memory of the episode; `Memory()` for none.
+        box: bounds of the actions, or None for Discrete actions.
+        is_squashed: points go through tanh first.
     """
 
-    def __init__(self, encoder: ObservationEncoder, network: Network, memory: Memory) -> None:
+    def __init__(self, encoder: ObservationEncoder, network: Network, memory: Memory, box: BoxActions | None = None,
+                 is_squashed: bool = False) -> None:
         self._encoder, self._network, self._memory = encoder, network, memory
+        self._box, self._is_squashed = box, is_squashed
         self.is_markov = memory.size == 0
         self._state: Any = np.zeros((1, memory.size), np.float32)
 
@@ -71,13 +76,18 @@ class GreedyPolicy(Policy):
         self._state = np.zeros((num_envs, self._memory.size), np.float32)
 
     def act(self, batch: Moments) -> Any:
-        """Return actions, int64 (n,)."""
+        """Return actions, int64 (n,), or float32 (n, ...) of a Box."""
         encoded = self._encoder.encode_batch(batch.observation)
         if not isinstance(encoded, np.ndarray) and isinstance(self._state, np.ndarray):
             self._state = encoded.new_zeros(self._state.shape)
         seen = self._memory.evaluate(encoded, self._state[batch.env])
         self._state[batch.env] = self._memory.get_state(seen)
         scores, mask = self._network.evaluate(seen), batch.action_mask
+        if self._box is not None:
+            points = scores[:, : self._box.size]
+            if self._is_squashed:
+                points = np.tanh(points) if isinstance(points, np.ndarray) else points.tanh()
+            return self._box.scale(points)
         if isinstance(scores, np.ndarray):
             return np.where(mask, scores, -np.inf).argmax(1)
         return scores.masked_fill(~mask, -np.inf).argmax(1)

@@ -24,7 +24,7 @@ class Rollout(NamedTuple):
 
     observation: Tensor  # (n, *observation shape), encoded
     mask: Tensor  # bool (n, actions)
-    action: Tensor  # int64 (n,)
+    action: Tensor  # int64 (n,), or float32 (n, size) of a Box
     log_probability: Tensor  # float32 (n,), of the action under the behaviour policy
     reward: Tensor  # float32 (n,), R, scaled
     bootstrap: Tensor  # float32 (n,), b
@@ -39,14 +39,21 @@ class Rollout(NamedTuple):
 class RolloutBuffer(Stateful):
     """Decisions collected for the next updates, of one environment or many.
 
+    Args:
+        arrays: library of the decisions.
+        num_envs: number of environments.
+        size: components of a choice in a Box, 0 for an index.
+
     Attributes:
-        log_probability: of each environment's latest choice under the policy that made it, (environments,).
+        choice: each environment's latest choice, (environments,) or (environments, size).
+        log_probability: of these choices under the policy that made them, (environments,).
     """
 
-    STATE = (Kept("_rows", "rows", unpack=dict), "log_probability")
+    STATE = (Kept("_rows", "rows", unpack=dict), Kept("choice", is_left_out=True), "log_probability")
 
-    def __init__(self, arrays: Arrays, num_envs: int) -> None:
+    def __init__(self, arrays: Arrays, num_envs: int, size: int = 0) -> None:
         self._arrays, self._num_envs = arrays, num_envs
+        self.choice = arrays.zeros((num_envs, size)) if size else arrays.zeros((num_envs,), "int64")
         self.log_probability = arrays.zeros((num_envs,))
         self._parts: list[tuple[Any, ...]] = []
         self._count = 0
@@ -59,9 +66,9 @@ class RolloutBuffer(Stateful):
         self._parts.append(fields)
         self._count += len(fields[-1])
 
-    def note_choice(self, env: Any, log_probability: Any) -> None:
-        """Store the log probabilities, (n,), of choices of some environments, int64 (n,)."""
-        self.log_probability[env] = log_probability
+    def note_choice(self, env: Any, choice: Any, log_probability: Any) -> None:
+        """Store choices, (n, ...), of some environments, int64 (n,), and their log probabilities, (n,)."""
+        self.choice[env], self.log_probability[env] = choice, log_probability
 
     def gather(self) -> Rollout:
         """Return all collected decisions as tensors."""
@@ -185,13 +192,12 @@ def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, a
     return -torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
 
 
-def compute_clipped_parts(log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor,
+def compute_clipped_parts(log_probability: Tensor, entropy: Tensor, values: Tensor, old_log_probability: Tensor,
                           advantage: Tensor, target: Tensor, settings: Any) -> dict[str, Tensor]:
-    """Return PPO's loss over a minibatch and its parts; log_policy and mask are (n, actions), all others (n,)."""
-    policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip,
+    """Return PPO's loss over a minibatch and its parts; the entropy is (), all others (n,)."""
+    policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip,
                                        settings.normalise_advantages)
     value_loss = 0.5 * functional.mse_loss(values, target)
-    entropy = compute_entropy(log_policy, mask)
     loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
     return {"loss": loss, "policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy}
 

@@ -23,6 +23,7 @@ from numpy.typing import DTypeLike, NDArray
 from hrl_escape.agents.agent import compute_backup, count_actions
 from hrl_escape.agents.batch_agent import BatchAgent
 from hrl_escape.agents.components.arrays import Arrays
+from hrl_escape.agents.components.box_actions import BoxActions
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.decisions import Decisions
@@ -35,7 +36,7 @@ class Experience(NamedTuple):
 
     observation: Any  # (batch, *observation shape), encoded
     mask: Any  # bool (batch, actions), legal there
-    action: Any  # int64 (batch,), or float32 (batch, actions) for relaxed actions
+    action: Any  # int64 (batch,), or float32 (batch, numbers) for relaxed actions and points of a Box
     reward: Any  # float32 (batch,), R
     bootstrap: Any  # float32 (batch,), b: gamma^k, or 0 after a termination
     next_observation: Any  # (batch, *observation shape)
@@ -79,8 +80,8 @@ class Replay(Stateful):
         capacity: maximum number of decisions.
         observation_shape: of an encoded observation.
         observation_dtype: of an encoded observation.
-        actions: number of actions.
-        action_shape: () where an action is an index, (actions,) where it is relaxed.
+        actions: number of actions, 0 for a Box.
+        action_shape: () where an action is an index, (numbers,) where it is relaxed or a point of a Box.
         n_step: decisions joined into one backup.
         num_envs: number of environments.
 
@@ -223,7 +224,7 @@ class ReplayAgent(BatchAgent):
 
     Args:
         n_step: decisions joined into one backup.
-        relaxed: replay holds a vector in place of the action's index.
+        relaxed: replay holds a vector in place of the action's index; it always does for a Box.
 
     Attributes:
         replay: decisions of the agent's environments.
@@ -237,7 +238,9 @@ class ReplayAgent(BatchAgent):
                  n_step: int = 1, relaxed: bool = False) -> None:
         self.settings = settings = settings or self.Settings()
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
-        self._actions = count_actions(action_space, self.name)
+        is_box = "box" in self.acts_in
+        self._actions = 0 if is_box else count_actions(action_space, self.name)
+        self._box = BoxActions(action_space, self.name) if is_box else None
         self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
         self._seed, self._n_step, self._is_relaxed = seed, n_step, relaxed
         self.make_replay(1, None)
@@ -249,7 +252,7 @@ class ReplayAgent(BatchAgent):
         self._arrays = Arrays(make_rng(self._seed, "draws"), device)
         capacity = max(settings.replay_capacity, settings.replay_per_env * num_envs if is_many else 1)
         self._most_updates: float = settings.max_updates if is_many else np.inf
-        action_shape = (self._actions,) if self._is_relaxed else ()
+        action_shape = (self._box.size,) if self._box else (self._actions,) if self._is_relaxed else ()
         self.replay = Replay(self._arrays, capacity, encoder.shape, encoder.dtype, self._actions, action_shape,
                              self._n_step, num_envs)
 

@@ -121,7 +121,7 @@ def play_episode(agent: Agent, env: gymnasium.Env, seed: int, max_primitives: in
 
 
 def walk_episode(env: gymnasium.Env, seed: int, actions: int, gamma: float,
-                 choose: Callable[[Any, NDArray[np.bool_]], int]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
+                 choose: Callable[[Any, NDArray[np.bool_]], Any]) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Step through one episode from `reset(seed=seed)`, yielding each transition at this gamma with its `info`.
 
     `choose` maps (observation, action mask) to an action. It is called after the previous decision was yielded.

@@ -21,6 +21,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.spaces.utils import flatten
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from torch import Tensor
@@ -30,7 +31,7 @@ from hrl_escape.agents.agent import (
     Agent,
     check_observation,
     check_same_observations,
-    count_actions,
+    count_choices,
     read_success_value,
     set_option_discount,
 )
@@ -61,7 +62,8 @@ class VectorManyEnvs:
     `infos` can hold the keys that `make_transition` reads, as arrays: `action_mask`, and for decisions of several
     primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `is_success`, else `success`, at the
     end of an episode. An array `_action_mask`, bool (environments,), and so on, marks the valid entries; in an
-    environment without a mask every action is legal. Wrappers of the vector environment act on every step.
+    environment without a mask every action is legal. Box actions have no mask. Observations with goals, a Dict, become
+    rows in the order of its keys, as in `gymnasium.spaces.flatten`. Wrappers of the vector environment act on every step.
 
     Args:
         env: numpy arrays, or tensors, which stay on their device.
@@ -72,12 +74,13 @@ class VectorManyEnvs:
         self._env = env
         self.count, self.gamma = env.num_envs, gamma
         self.observation_space, self.action_space = env.single_observation_space, env.single_action_space
-        self._actions = count_actions(self.action_space, "train")
+        self._actions = count_choices(self.action_space, "train")
+        self._action_type = np.min_scalar_type(self._actions) if self._actions else np.dtype(np.float32)
         self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self.observation = self.action_mask = torch.empty(0)
         self._was_over = torch.zeros(self.count, dtype=torch.bool)
         self._gives_episodes = env is env.unwrapped and hasattr(env, "state_dict")  # wrappers can have a state, too
-        self._made: list[NDArray[np.integer]] = []  # otherwise, actions of every step since `reset`, (envs,) each
+        self._made: list[NDArray[Any]] = []  # otherwise, actions of every step since `reset`, (envs, ...) each
         set_option_discount(env, gamma)
 
     @property
@@ -102,7 +105,7 @@ class VectorManyEnvs:
         """Run one decision in every environment, or the reset in its place."""
         before, where = self.observation, self.is_waiting
         if not self._gives_episodes and len(self._made) * self.count <= REMADE:
-            self._made.append(action.cpu().numpy().astype(np.min_scalar_type(self._actions)))
+            self._made.append(action.cpu().numpy().astype(self._action_type))
         given = action if isinstance(before, Tensor) and self._gives_tensors else action.cpu().numpy()
         seen, reward, terminated, truncated, infos = self._env.step(given)
         paid = self._take(reward, torch.float64)
@@ -129,6 +132,8 @@ class VectorManyEnvs:
     # --- what comes from the environment ---------------------------------------------------
 
     def _take(self, value: Any, dtype: torch.dtype | None = None) -> Tensor:
+        if isinstance(value, Mapping):
+            return torch.cat([self._take(part).flatten(1).float() for part in value.values()], dim=1)
         if isinstance(value, Tensor):
             self._gives_tensors = True
             return value if dtype is None else value.to(dtype)
@@ -141,8 +146,14 @@ class VectorManyEnvs:
     def _replace(self, batch: Tensor, values: Any, where: Tensor) -> Tensor:
         """Copy of a batch with some rows of another, which can be an array of arrays and None."""
         rows = where.nonzero().squeeze(1)
-        new = values[rows] if isinstance(values, Tensor) else torch.from_numpy(
-            np.stack([np.asarray(values[row]) for row in rows.tolist()]))
+        if isinstance(values, Mapping):
+            new = self._take(values)[rows]
+        elif isinstance(values, Tensor):
+            new = values[rows]
+        else:
+            one = self.observation_space
+            new = torch.from_numpy(np.stack([flatten(one, values[row]) if isinstance(one, gymnasium.spaces.Dict)
+                                             else np.asarray(values[row]) for row in rows.tolist()]))
         return batch.index_copy(0, rows, new.to(self.device, batch.dtype))
 
     def _read(self, infos: Mapping[str, Any], name: str) -> tuple[Tensor, Tensor] | None:
@@ -179,10 +190,10 @@ class VectorManyEnvs:
             infos: of a step, a reset, or the ends of episodes.
             rows: the environments whose masks are checked, bool (environments,) or ().
         """
-        found = self._read(infos, "action_mask")
+        found = self._read(infos, "action_mask") if self._actions else None
         if found is None:
             told = infos.get("action_mask")
-            if told is not None and not all(row is None for row in told):
+            if self._actions and told is not None and not all(row is None for row in told):
                 raise StepContractError(f"infos['action_mask'] is {show_value(told)}; it must have a "
                                         "number for each action of each environment")
             return torch.ones((self.count, self._actions), dtype=torch.bool, device=self.device)
@@ -293,7 +304,8 @@ class VectorManyEnvs:
                     "was_over": self._was_over}
         if len(self._made) * self.count > REMADE:
             return None
-        return {"made": np.array(self._made).reshape(-1, self.count), "observation": self.observation}
+        return {"made": np.array(self._made, self._action_type).reshape(-1, self.count, *self.action_space.shape or ()),
+                "observation": self.observation}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the state of `state_dict` after a `reset` with the same seeds, or raise `CheckpointError`."""
@@ -305,7 +317,7 @@ class VectorManyEnvs:
                 for name in ("observation", "action_mask", "was_over"))
             return
         for actions in np.asarray(state["made"]):
-            self.step(torch.from_numpy(actions.astype(np.int64)).to(self.device))
+            self.step(torch.from_numpy(actions.astype(np.int64 if self._actions else np.float32)).to(self.device))
         if not np.array_equal(self.observation.cpu().numpy(), np.asarray(state["observation"]), equal_nan=True):
             raise CheckpointError("the environments are not deterministic: a replay of seeds and actions differs")
 
@@ -365,6 +377,9 @@ class ManyEnvsRun(Run):
     def _reset_streams(self) -> None:
         self.streams.reset(compute_episode_seed(self.arguments.seed, "streams", self._begun))
         self._tally = _Tally(self.streams.count, self.streams.device)
+        space, is_box = self.streams.action_space, isinstance(self.streams.action_space, gymnasium.spaces.Box)
+        self._no_actions = torch.zeros((self.streams.count, *space.shape), device=self.streams.device,
+                                       dtype=torch.float32 if is_box else torch.int64)
         self._masks = self.streams.action_mask.clone()  # legal at each environment's present decision
         self._is_fresh = True
 
@@ -388,7 +403,7 @@ class ManyEnvsRun(Run):
             if self.is_spent:
                 break
             asking = streams.is_waiting.nonzero().squeeze(1)
-            action = torch.zeros(streams.count, dtype=torch.int64, device=streams.device)
+            action = self._no_actions.clone()
             masks[asking] = streams.action_mask[asking]
             action[asking] = agent.act(Moments(asking, streams.observation[asking], masks[asking]))
             ended = streams.step(action)

@@ -19,6 +19,7 @@ from types import FrameType
 from typing import Any, Protocol, cast
 
 import gymnasium
+import numpy as np
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, check_actions, check_same_observations, read_success
 from hrl_escape.agents.registry import split_name
@@ -476,7 +477,7 @@ class _Tally(Means):
         self._choices: dict[str, int] = {}
         self._choice_primitives: dict[str, int] = {}
         self._failures = 0
-        self._last_action: int | None = None
+        self._last_action: Any = None
         self._repeat = self._longest_repeat = 0
 
     def add(self, transition: SMDPTransition, info: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
@@ -484,7 +485,7 @@ class _Tally(Means):
         self.episode_return += transition.summed_reward
         self.length += transition.duration
         self.decisions += 1
-        self._repeat = self._repeat + 1 if transition.action == self._last_action else 1
+        self._repeat = self._repeat + 1 if np.array_equal(transition.action, self._last_action) else 1
         self._last_action = transition.action
         self._longest_repeat = max(self._longest_repeat, self._repeat)
         self._info = info
