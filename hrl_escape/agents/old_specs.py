@@ -13,6 +13,7 @@ from hrl_escape.agents.registry import (
     RANDOM_OPTIONS,
     SHARED_RECIPES,
     SMDP_PREFIX,
+    join_name,
     list_offline_agents,
     split_name,
 )
@@ -30,6 +31,8 @@ NEW_NAMES = {
     "smdp-tools": "text-agent",
 }
 """Names of agents of 0.3 that have changed."""
+FINITE = {"hiro": "hiro-finite", "hrac": "hrac-finite", "hac": "hac-finite"}
+"""Names of agents of 0.3 that mean another algorithm now: those chose among finitely many goals and actions."""
 MANAGERS = {"uniform": "random", "untried": "search-random", "untried-nearest": "search-nearest", "planner": "oracle"}
 """Scripted callers of tools of 0.3."""
 _PARTS = {"markov": "reactive"}
@@ -64,7 +67,8 @@ def convert_label(label: str, chooses_primitives: bool | None = None) -> str:
             if part not in _ORDER:
                 raise UnknownNameError("word of a label of version 0.3", word, (*_OLD_PARTS, *_ORDER))
             parts.append(part)
-    new = NEW_NAMES.get(name, name)
+    base, is_over = split_name(name)
+    new = NEW_NAMES.get(name, join_name(FINITE[base], is_over) if base in FINITE else name)
     is_fixed = new != RANDOM_OPTIONS and not new.startswith(SMDP_PREFIX)
     is_offline = split_name(name)[0] in list_offline_agents()  # these choose what their data set has
     if over_options and chooses_primitives and not is_fixed and not is_offline:
@@ -88,8 +92,9 @@ def refuse_old(text: str) -> None:
     """
     head, *words = text.split("+")
     name, _, recipe = head.partition("@")
-    if not (name in NEW_NAMES or (recipe and _convert_recipe(name, recipe) != recipe) or set(words) & set(_OLD_PARTS)):
+    is_finite = split_name(name)[0] in FINITE and (name not in FINITE or bool(set(words) & {"planned", "learned"}))
+    if not (name in NEW_NAMES or is_finite or (recipe and _convert_recipe(name, recipe) != recipe) or set(words) & set(_OLD_PARTS)):
         return
     known = [word for word in words if word in (*_OLD_PARTS, *_ORDER)]
-    spec = convert_label("+".join((head, *known)))
+    spec = convert_label("+".join((head, *known)), False if is_finite else None)
     raise AgentSettingsError("agent", text, f"version 0.3 called this agent so; it is {spec} now")

@@ -59,7 +59,7 @@ def synthesise(instance: RoomInstance, kind: HierarchyKind = "maxq", low_level: 
         instance: the room.
         kind: `maxq`, a task graph for `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
             `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`; `events`, a goal space for
-            `hac`, `sol` and `option-keyboard`; `displacements`, one for `hiro` and `hrac`.
+            `hac-finite`, `sol` and `option-keyboard`; `displacements`, one for `hiro-finite` and `hrac-finite`.
         low_level: `planned`, the planner moves to each target; `learned`, the agent learns to move by primitives.
         abstract: each task observes only what is relevant to it; otherwise all observe pose and facts.
         cell: size of the squares that discretise poses in a learned low level, m; the length of a move by default.

@@ -11,9 +11,9 @@ from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.algorithms.task_hierarchies.deep_abstract_q import DeepAbstractQ
 from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import FeudalRl, Quadtree
 from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
-from hrl_escape.agents.algorithms.task_hierarchies.hac import Hac
-from hrl_escape.agents.algorithms.task_hierarchies.hiro import Hiro
-from hrl_escape.agents.algorithms.task_hierarchies.hrac import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import Hac
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro
+from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import Hrac
 from hrl_escape.agents.algorithms.task_hierarchies.macro_q import MacroQ
 from hrl_escape.agents.algorithms.task_hierarchies.option_keyboard import OptionKeyboard
 from hrl_escape.agents.algorithms.task_hierarchies.sol import Sol
@@ -67,19 +67,19 @@ GRAPHS = {
 OWN = {
     "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),
     "h-dqn": lambda: _run(HDqn, FourRooms(None), values="table", patience=5),
-    "hac": lambda: _run(Hac, FourRooms(None)),
+    "hac-finite": lambda: _run(Hac, FourRooms(None)),
     "deep-abstract-q": lambda: _run(DeepAbstractQ, FourRooms(None), worker="table"),
     "option-keyboard": lambda: _run(OptionKeyboard, EmptyRoom(EDGE), patience=5),
     "sol": lambda: _run(Sol, FourRooms(None), hidden=(8,), longest=4),
-    "hiro": lambda: _run(Hiro, FourRooms(None), window=5),
-    "hrac": lambda: _run(Hrac, FourRooms(None), window=5),
+    "hiro-finite": lambda: _run(Hiro, FourRooms(None), window=5),
+    "hrac-finite": lambda: _run(Hrac, FourRooms(None), window=5),
     "feudal-rl": lambda: _run(FeudalRl, BarrierMaze(), Quadtree(2, find_place), patience=3),
 }
 """Agents that make their hierarchy themselves."""
 
 
 @pytest.mark.nightly_for(
-    "h-dqn", "hac", "option-keyboard", "sol", "taxi", "feudal-rl", "hrac", "macro-q", "taxi, no abstraction")
+    "h-dqn", "hac-finite", "option-keyboard", "sol", "taxi", "feudal-rl", "hrac-finite", "macro-q", "taxi, no abstraction")
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
     check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)

@@ -21,8 +21,8 @@ from hrl_escape.hierarchies import HierarchyEnv, HierarchyVectorEnv, synthesise
 from hrl_escape.planning.planner import RoomPlanner
 from tests.hierarchies.tiny import TINY
 
-AGENTS = {"hac": "events", "sol": "events", "option-keyboard": "events", "hiro": "displacements",
-          "hrac": "displacements"}
+AGENTS = {"hac-finite": "events", "sol": "events", "option-keyboard": "events", "hiro-finite": "displacements",
+          "hrac-finite": "displacements"}
 
 
 def make_env(config, kind, **arguments):
@@ -92,7 +92,7 @@ def test_tables_see_pose_touched_targets_and_facts_and_nothing_else():
         assert all(space.view.space.contains(np.array(view)) for view in views)
 
 
-@pytest.mark.nightly_for("hac-events", "option-keyboard-events", "hrac-displacements", "hiro-displacements")
+@pytest.mark.nightly_for("hac-finite-events", "option-keyboard-events", "hrac-finite-displacements", "hiro-finite-displacements")
 @pytest.mark.parametrize(("agent", "kind"), AGENTS.items())
 def test_every_agent_of_goals_keeps_its_promises_in_a_room(agent, kind):
     assert find_kind(agent) == kind
@@ -131,10 +131,10 @@ def test_goals_and_their_names_are_as_many():
 @pytest.mark.nightly
 def test_a_folder_brings_back_an_agent_with_its_goals(tmp_path):
     env = make_env(TINY, "displacements")
-    result = train("hiro", env, primitives=300, eval_episodes=1, out=tmp_path / "run", progress=False)
+    result = train("hiro-finite", env, primitives=300, eval_episodes=1, out=tmp_path / "run", progress=False)
     agent, again = load_agent(tmp_path / "run"), load_env(tmp_path / "run")
     assert isinstance(again, HierarchyEnv) and np.array_equal(agent.space.goals, env.structure["goal_space"].goals)
-    same = train("hiro", env, primitives=300, eval_episodes=1, out=tmp_path / "run", progress=False)
+    same = train("hiro-finite", env, primitives=300, eval_episodes=1, out=tmp_path / "run", progress=False)
     assert same.evaluations == result.evaluations
 
 
@@ -143,7 +143,7 @@ def test_leaves_that_nobody_plans_and_bodies_that_do_not_go_there_are_refused_in
         with pytest.raises(UnsupportedError, match=f"a hierarchy over {kind} learns its low level"):
             synthesise(generate(TINY, 0), kind, "planned")
     with pytest.raises(UnsupportedError, match="learns its low level: take low_level='learned'"):
-        find_kind("hiro", "planned")
+        find_kind("hiro-finite", "planned")
     with pytest.raises(UnsupportedError, match="learns its low level"):
         HierarchyVectorEnv(EscapeRoomVectorEnv(2, TINY), "events")
     with pytest.raises(UnsupportedError, match="presses by hand"):

@@ -61,15 +61,15 @@ MUTATIONS = [
              "value = float(self.tables[turn.agent].get_values(key)", "value = float(self.tables[0].get_values(key)",
              "agents/algorithms/task_hierarchies/test_hq_learning.py::"
              "test_a_trial_teaches_values_of_primitives_and_of_the_subgoal_by_hand"),
-    Mutation("hac learns of the goal that was named", "agents/algorithms/task_hierarchies/hac.py::Hac.learn",
+    Mutation("hac learns of the goal that was named", "agents/algorithms/task_hierarchies/hac_finite.py::Hac.learn",
              "actions = [decision.choice] if is_lowest else np.flatnonzero(reached & decision.legal).tolist()",
              "actions = [decision.choice]",
              "agents/algorithms/task_hierarchies/test_hac.py::test_an_action_is_learned_from_as_the_goal_that_was_reached"),
     Mutation("a goal is not advanced along the logged way",
-             "agents/algorithms/task_hierarchies/hiro.py::Hiro.compute_likelihoods",
+             "agents/algorithms/task_hierarchies/hiro_finite.py::Hiro.compute_likelihoods",
              "told = self.space.goals + (window.points[0] - point) * self.space.is_relative", "told = self.space.goals",
              "agents/algorithms/task_hierarchies/test_hiro.py::test_a_goal_is_as_likely_as_the_product_over_the_logged_way"),
-    Mutation("goals that are far may be named", "agents/algorithms/task_hierarchies/hrac.py::Hrac.find_allowed",
+    Mutation("goals that are far may be named", "agents/algorithms/task_hierarchies/hrac_finite.py::Hrac.find_allowed",
              "return near if near.any() else legal", "return legal",
              "agents/algorithms/task_hierarchies/test_hiro.py::"
              "test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_is_learned"),

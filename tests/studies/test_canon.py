@@ -110,12 +110,12 @@ def test_hierarchies_are_compared_with_their_flat_controls(usual_numbers: Any):
 
 @pytest.mark.nightly
 def test_a_learner_that_is_not_run_in_a_kind_is_measured_in_the_others():
-    reach, unfit = "ladder-1/reach", ["hiro+learned", "hrac+learned"]
+    reach, unfit = "ladder-1/reach", ["hiro-finite+learned", "hrac-finite+learned"]
     lines = [run for run in make_lines(change(dict.fromkeys(unfit, 0.5)), (PAIR, reach))
              if run.kind != reach or run.agent not in unfit]
     found = STUDY.analysis.analyse(STUDY, lines)
-    assert set(found.numbers.means["hiro+learned"]) == {PAIR} and set(found.numbers.means[PPO]) == {PAIR, reach}
-    assert found.numbers.beyond["hiro+learned"].mean == pytest.approx(-0.2, abs=0.05)
+    assert set(found.numbers.means["hiro-finite+learned"]) == {PAIR} and set(found.numbers.means[PPO]) == {PAIR, reach}
+    assert found.numbers.beyond["hiro-finite+learned"].mean == pytest.approx(-0.2, abs=0.05)
     assert found.tables["canon_unfit"].count("| displacements move the base alone |") == 2
     assert "R-MAXQ" not in found.tables["canon_unfit"], "the kinds that it lacks are not here"
     lacking = [run for run in lines if run.kind != reach or run.agent != PPO]
@@ -263,9 +263,9 @@ def test_a_learner_whose_runs_take_long_is_run_in_the_first_rooms_alone(tmp_path
 
 @pytest.mark.nightly
 def test_a_learner_is_not_run_where_it_cannot_be(tmp_path: Path):
-    study, args = run(tmp_path, agents=("hiro+learned", "oracle"), kinds=("ladder-1/reach",), rooms=1)
+    study, args = run(tmp_path, agents=("hiro-finite+learned", "oracle"), kinds=("ladder-1/reach",), rooms=1)
     store = open_store(study, args.docs)
-    store.add([line for line in make_trials() if line.agent == "hiro+learned"])
+    store.add([line for line in make_trials() if line.agent == "hiro-finite+learned"])
     study.analysis.measure(study, args, store)
     assert {line.agent for line in store.load() if "/test#" in line.room} == {"oracle"}
 

@@ -26,9 +26,10 @@ class BoxActions:
 
     def __init__(self, space: gymnasium.Space, agent: str) -> None:
         if not isinstance(space, spaces.Box) or space.dtype.kind != "f":
+            finite = f", or {agent}-finite, which {agent} meant in 0.3" if agent in ("hiro", "hrac", "hac") else ""
             raise UnsupportedSpaceError(
                 f"{agent} needs actions in a Box of floats, not {space}. For Discrete actions, such as options, take "
-                "ppo, dqn, rainbow or torchrl-sac")
+                f"ppo, dqn, rainbow or torchrl-sac{finite}")
         if not (np.isfinite(space.low).all() and np.isfinite(space.high).all() and (space.high > space.low).all()):
             raise UnsupportedSpaceError(f"{agent} needs finite bounds of actions, low below high, not {space}: wrap the "
                                         "environment in gymnasium.wrappers.ClipAction or RescaleAction")

@@ -19,7 +19,7 @@ SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}, "h-uct
          "sol": {"hidden": (8,), "rollout": 30, "longest": 4}}
 
 
-@pytest.mark.nightly_for("h-uct", "h-dqn", "hiro", "deep-abstract-q", "hrac", "option-keyboard")
+@pytest.mark.nightly_for("h-uct", "h-dqn", "hiro-finite", "deep-abstract-q", "hrac-finite", "option-keyboard")
 @pytest.mark.parametrize("name", thin(NAMES, 3))
 def test_it_keeps_the_contract_of_agents(name):
     agent_class = get_agent_class(name)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.task_hierarchies.hiro import Hiro, Window
-from hrl_escape.agents.algorithms.task_hierarchies.hrac import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro, Window
+from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import Hrac
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
 from hrl_escape.checks import check_agent
 from tests.agents.running import interact, learn

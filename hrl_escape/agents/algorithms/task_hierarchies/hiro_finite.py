@@ -34,7 +34,7 @@ from hrl_escape.settings import Range
 
 @dataclass(frozen=True, kw_only=True)
 class HiroSettings(AgentSettings):
-    """Settings of `hiro`; epsilon applies to the manager, and the worker explores by its softmax."""
+    """Settings of `hiro-finite`; epsilon applies to the manager, and the worker explores by its softmax."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
     """Epsilon at the beginning; 1 acts at random."""
@@ -147,13 +147,13 @@ class Hiro(CallRunner):
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None, goal_space: GoalSpace | None = None) -> None:
         settings = settings or HiroSettings()
-        self._actions = count_actions(action_space, "hiro")
-        self.space = space = goal_space or make_goal_space(observation_space, "hiro")
+        self._actions = count_actions(action_space, "hiro-finite")
+        self.space = space = goal_space or make_goal_space(observation_space, "hiro-finite")
         self._worker = Pursuit(space, self._actions, settings.window)
         manager = Naming("manager", space, len(space.goals), self._worker)
         super().__init__(Hierarchy(manager, (self._worker,), source="learned", privileges=space.privileges), seed,
                          settings)
-        self._find_cell = make_cell_finder(manager.view_space or observation_space, settings, "hiro")
+        self._find_cell = make_cell_finder(manager.view_space or observation_space, settings, "hiro-finite")
         table = TabularSettings(learning_rate=settings.learning_rate)
         self.tables = {"manager": QTable(len(space.goals), table), "worker": QTable(self._actions, table)}
         self._replay: list[Window] = []

@@ -28,7 +28,7 @@ END = -1
 
 @dataclass(frozen=True, kw_only=True)
 class HacSettings(AgentSettings):
-    """Settings of `hac`; `gamma` discounts once per choice of a level."""
+    """Settings of `hac-finite`; `gamma` discounts once per choice of a level."""
 
     bins: Annotated[int, Range(2)] = 11
     """Number of evenly spaced points, both bounds included, to round bounded components to: 11 over a 20 m room is 2 m.
@@ -101,8 +101,8 @@ class Hac(CallRunner):
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HacSettings | None = None, goal_space: GoalSpace | None = None) -> None:
         settings = settings or HacSettings()
-        actions = count_actions(action_space, "hac")
-        self.space = space = goal_space or make_goal_space(observation_space, "hac")
+        actions = count_actions(action_space, "hac-finite")
+        self.space = space = goal_space or make_goal_space(observation_space, "hac-finite")
         levels: list[_Level] = []
         for index in range(settings.levels):
             levels.append(_Level(f"level {index}", space, len(space.goals) if index else actions,
@@ -111,7 +111,7 @@ class Hac(CallRunner):
                          settings)
         table = TabularSettings(learning_rate=settings.learning_rate, initial_value=-float(settings.attempts))
         self.tables = {level.name: QTable(int(level.space.n), table) for level in levels}
-        self._find_cell = make_cell_finder(levels[0].view_space or observation_space, settings, "hac")
+        self._find_cell = make_cell_finder(levels[0].view_space or observation_space, settings, "hac-finite")
         self._action_rng = make_rng(seed, "actions")
 
     def begin_episode(self) -> None:

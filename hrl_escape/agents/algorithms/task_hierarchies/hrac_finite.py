@@ -1,4 +1,4 @@
-"""HRAC: `hiro` whose manager only sets goals that the worker can reach in one window.
+"""HRAC: `hiro-finite` whose manager only sets goals that the worker can reach in one window.
 
 Zhang, Guo, Tan, Hu and Chen (2020). Their manager has a penalty for goals that are distant according to a network,
 distilled from a matrix of observed adjacency. Here that matrix, or the true number of primitives, excludes them.
@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.algorithms.task_hierarchies.hiro import Hiro, HiroSettings
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro, HiroSettings
 from hrl_escape.agents.hierarchy.goal_space import GoalPoint, GoalSpace
 from hrl_escape.agents.hierarchy.task import Return, Seen
 from hrl_escape.agents.state import Kept
@@ -22,13 +22,13 @@ CountSteps = Callable[[GoalPoint, GoalPoint], NDArray[np.float64]]
 
 
 class Hrac(Hiro):
-    """`hiro` over goals whose points are adjacent: at most c primitives away.
+    """`hiro-finite` over goals whose points are adjacent: at most c primitives away.
 
     Learned adjacency holds the pairs of points (p, p') such that p' was seen within c primitives after p in one window.
     If no goal is known to be adjacent, all are allowed.
 
     Args:
-        goal_space: as for `hiro`.
+        goal_space: as for `hiro-finite`.
         count_steps: exact adjacency, or None to learn it.
     """
 

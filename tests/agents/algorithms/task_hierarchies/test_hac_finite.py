@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.task_hierarchies.hac import END, Hac
+from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import END, Hac
 from tests.agents.running import learn
 from tests.agents.small_envs import Outcome, SmdpEnv
 from tests.classic.exact import find_fewest_primitives

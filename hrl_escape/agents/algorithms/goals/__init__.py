@@ -1,0 +1,1 @@
+"""Hierarchies with continuous goals, for actions in a Box."""
