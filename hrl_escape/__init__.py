@@ -28,5 +28,7 @@ for _suffix, (_one, _many) in _DOORS.items():
 
 gymnasium.register("hrl_escape/EscapeRoomContinuous-v1", "hrl_escape.env.continuous:EscapeRoomContinuousEnv",
                    vector_entry_point="hrl_escape.env.continuous_vector_env:EscapeRoomContinuousVectorEnv")
+gymnasium.register("hrl_escape/PointMaze-v1", "hrl_escape.env.mazes:PointMazeEnv",
+                   vector_entry_point="hrl_escape.env.maze_vector_env:PointMazeVectorEnv")
 gymnasium.register("hrl_escape/Ladder-v1", "hrl_escape.sets.environments:make_ladder_env",
                    vector_entry_point="hrl_escape.sets.environments:make_ladder_vec")
