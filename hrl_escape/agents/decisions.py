@@ -14,6 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 
+def name_action(names: Sequence[str], action: Any) -> str:
+    """Return the name of an action, `velocities` with their values for one of a Box."""
+    if isinstance(action, np.ndarray):
+        return f"velocities {', '.join(f'{rate:.2f}' for rate in action.reshape(-1))}"
+    return names[action]
+
+
 class SMDPTransition(NamedTuple):
     """One decision and its outcome.
 

@@ -318,6 +318,13 @@ class AgentSpec(Settings):
         return chosen | ({"recorded": hashlib.sha256(content.encode()).hexdigest()[:12]} if recorded else {})
 
     @property
+    def drives_velocities(self) -> bool:
+        """True if the agent acts in a Box alone: rooms then take velocities in place of primitives."""
+        if self.chooses_options or self.is_reference:
+            return False
+        return "discrete" not in get_agent_class(self.name).acts_in
+
+    @property
     def remembers(self) -> bool:
         """True if the agent keeps its memory of a room across trials."""
         return self.settings.get("memory", "none") != "none" or self.options.memory
@@ -329,8 +336,8 @@ class AgentSpec(Settings):
 
     @property
     def default_observation(self) -> str:
-        """Default observation of the agent."""
-        return "objects" if self.reads_objects else "features"
+        """Default observation of the agent; `state` for velocities, because goals on the floor are in its units."""
+        return "objects" if self.reads_objects else "state" if self.drives_velocities else "features"
 
     @property
     def privileges(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.sets.common_spaces import CommonSpaces, CommonSpacesEnv
 from hrl_escape.sets.grammar import FreshRooms, NamedRooms
 from hrl_escape.sets.instance_set import InstanceSet
@@ -51,12 +52,16 @@ def make_agent_env(agent: AgentSpec, rooms: NamedRooms, observation: str, schedu
             for place, each in enumerate(rooms.sets))
         return SequenceEnv(first, then=[env for env, _ in others], paired=rooms.paired), recorder
     if isinstance(rooms, InstanceSet):
+        if agent.drives_velocities:
+            raise UnsupportedError(f"{agent.name} drives velocities, and a set of rooms has primitives: name one room, "
+                                   f"such as {rooms.name}#0")
         flat = RoomSchedule(rooms.make_env(observation=observation),
                             {seed: number % len(rooms) for seed, number in schedule.items()})
     else:
         given: dict[str, Any] = {"config": rooms.config, "resample_instance": True} if isinstance(
             rooms, FreshRooms) else {"instance": rooms}
-        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", **given, observation=observation, disable_env_checker=True)
+        name = "EscapeRoomContinuous-v1" if agent.drives_velocities else "EscapeRoom-v1"
+        flat = gymnasium.make(f"hrl_escape/{name}", **given, observation=observation, disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.low_level is not None:
         from hrl_escape.hierarchies.hierarchy_env import HierarchyEnv

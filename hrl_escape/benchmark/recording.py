@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.decisions import name_action
 from hrl_escape.agents.spec import REFERENCES
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.benchmark.episodes import StateRecorder
@@ -109,7 +110,7 @@ def record_episode(agent: Agent | str, env: gymnasium.Env, seed: int = 0) -> Rec
         player = make_reference(agent, recorded, recorder) if isinstance(agent, str) else agent
         for transition, info in play_episode(player, recorded, seed):
             total += transition.summed_reward
-            option = read_option(info) or {"name": room.instance.robot.actions.names[transition.action],
+            option = read_option(info) or {"name": name_action(room.instance.robot.actions.names, transition.action),
                                             "ended": "reached"}
             decisions.append((option["name"], transition.duration, option["ended"]))
             success = bool(info["is_success"])

@@ -10,6 +10,7 @@
     hrl-escape train maxq-q+planned
     hrl-escape train ppo --num-envs 1024 --primitives 5000000
     hrl-escape train dac --num-envs 64 --primitives 500000
+    hrl-escape train hiro --room continuous-four-rooms --num-envs 4096 --primitives 4000000
     hrl-escape train text-agent --settings model=search-random reveal=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
 
@@ -105,10 +106,12 @@ class TrainArgs(AgentChoice, RoomChoice):
         given = list_batch_arguments(rooms)
         observation = self.choose_observation(spec)
         if spec.low_level is not None or not spec.chooses_options:
+            from hrl_escape.env.continuous_vector_env import EscapeRoomContinuousVectorEnv
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
-            flat = EscapeRoomVectorEnv(self.num_envs, **given, observation=observation, output="torch",
-                                       device=self.device, compile=self.compile)
+            kind = EscapeRoomContinuousVectorEnv if spec.drives_velocities else EscapeRoomVectorEnv
+            flat = kind(self.num_envs, **given, observation=observation, output="torch", device=self.device,
+                        compile=self.compile)
             if spec.low_level is None:
                 return flat
             from hrl_escape.hierarchies import HierarchyVectorEnv

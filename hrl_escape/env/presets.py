@@ -101,6 +101,27 @@ def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
     )
 
 
+def continuous_four_rooms(reward: float = 0.0) -> RoomConfig:
+    """Four rooms in metres, for velocities: from the south-west room to the exit in the north-east room.
+
+    The map is that of `four-rooms`, with a disc that strafes. The button at the exit opens it.
+
+    Args:
+        reward: of the exit, in addition to the cost of time.
+    """
+    goal = Place(4.0, 4.0)
+    return RoomConfig(
+        name="continuous-four-rooms",
+        room=ShapeConfig(width=11, depth=11, map=FOUR_ROOMS),
+        robot=RobotConfig(body_radius=0.2, move_step=0.5, turn_step_deg=90, drive="strafing"),
+        puzzle=PinPadConfig(count=1, floor=Pads(0.9, 0.9, (goal,))),
+        start=StartConfig(place="fixed", x=-4.0, y=-4.0),
+        exit=ExitConfig(place="fixed", x=goal.x, y=goal.y, width=1, depth=1),
+        reward=RewardConfig(step=-1.0, exit=reward),
+        horizon=100,
+    )
+
+
 KEY_CHEST = (" " * 15, " " * 15, "#############  ", " " * 15, " " * 15, "  ###########  ", " " * 15, " " * 15,
              "#############  ", " " * 15, " " * 15)
 """Map of HRAC's Key-Chest (Zhang et al. 2020), without its outer walls."""
@@ -410,6 +431,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "recipes": recipes,
     "deep-sea": deep_sea,
     "four-rooms": four_rooms,
+    "continuous-four-rooms": continuous_four_rooms,
     "taxi": taxi,
     "puddle-world": puddle_world,
     "foraging": foraging,
@@ -447,6 +469,7 @@ TAGS: dict[str, tuple[str, ...]] = {
     "recipes": ("classic puzzle",),
     "deep-sea": ("classic puzzle", "irreversible"),
     "four-rooms": ("grid world", "stochastic"),
+    "continuous-four-rooms": ("velocities",),
     "taxi": ("grid world", "gripper"),
     "puddle-world": ("grid world",),
     "foraging": ("grid world", "gripper", "stochastic"),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 
+from hrl_escape.agents.decisions import name_action
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.benchmark.episodes import PrimitiveStep
 from hrl_escape.env.instance import RoomInstance
@@ -39,7 +40,7 @@ def record_driver(driver: Driver, seed: int = 0) -> EpisodeRecording:
     driver.recorder.on_step = steps.append
     decisions: list[tuple[str, int]] = []
     for transition, _ in play_episode(driver.agent, driver.env, check_seed(seed)):
-        decisions.append((driver.names[transition.action], transition.duration))
+        decisions.append((name_action(driver.names, transition.action), transition.duration))
     return _make(driver.room.instance, steps, decisions, driver.name)
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
+from hrl_escape.agents.decisions import name_action
 from hrl_escape.benchmark.episodes import PrimitiveStep
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.pictures import palette
@@ -237,8 +238,9 @@ class WatchPage:
         watch = self.watch
         if watch.choice is not None:
             choice = watch.choice
-            self._values.content = make_bars(watch.driver.names, choice.values, choice.mask, choice.action,
-                                             choice.meaning, choice.notes)
+            if not isinstance(choice.action, np.ndarray):  # velocities have no bars
+                self._values.content = make_bars(watch.driver.names, choice.values, choice.mask, choice.action,
+                                                 choice.meaning, choice.notes)
             self._show_learned()
         rows = [(name, str(step.duration), f"{step.reward:.2f}", f"{step.discount:.4f}", f"{step.summed_reward:g}",
                  _ENDED.get(ended, ended)) for name, step, ended in reversed(watch.decisions)]
@@ -281,7 +283,7 @@ class WatchPage:
         watch = self.watch
         if watch.choice is None:
             return
-        name = watch.driver.names[watch.choice.action]
+        name = name_action(watch.driver.names, watch.choice.action)
         length = len(watch.plan.states) - 1 if watch.plan is not None else 1
         share = min(1.0, watch.in_decision / max(length, 1))
         problem = f" ({watch.plan.problem})" if watch.plan is not None and watch.plan.problem else ""

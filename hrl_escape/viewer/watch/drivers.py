@@ -214,8 +214,9 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         kept = described["environment"]
         option_set = next((part["arguments"]["option_set"] for part in kept["wrappers"]
                            if "option_set" in part["arguments"]), DEFAULT_SET)
-        room = _make_room(instance, (kept["arguments"] or {}).get("observation", "features"))
-        kept = {**kept, "arguments": room.unwrapped.describe()}
+        arguments = kept["arguments"] or {}
+        room = _make_room(instance, arguments.get("observation", "features"))
+        kept = {**kept, "arguments": arguments | room.unwrapped.describe()}
         room.close()
         if kept["class"] == name_part(InstanceSetEnv):  # the room replaces the whole set, which needs no schedule
             wrappers = [part for part in kept["wrappers"] if part["class"] != name_part(RoomSchedule)]

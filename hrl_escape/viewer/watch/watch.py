@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition, set_option_discount
-from hrl_escape.agents.decisions import Moments, Policy
+from hrl_escape.agents.decisions import Moments, Policy, name_action, read_action
 from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
@@ -142,7 +142,7 @@ ENDLESS = 10**9
 class ObservedChoice:
     """One choice of an agent, with the numbers behind it."""
 
-    action: int  # the chosen action
+    action: Any  # the chosen action
     mask: NDArray[np.bool_]  # legal actions, bool (actions,)
     values: NDArray[Any] | None  # one number per action, or None if the agent computes none
     meaning: str  # meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values
@@ -234,7 +234,7 @@ class Watch:
         except Stopped:
             pass
 
-    def read(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> ObservedChoice:
+    def read(self, observation: Any, action: Any, mask: NDArray[np.bool_]) -> ObservedChoice:
         """Read the agent's numbers at an observation."""
         agent = self.driver.agent
         state_value = agent.compute_state_value(observation)
@@ -245,7 +245,7 @@ class Watch:
             shown, meaning = agent.compute_preferences(observation), "preference"
         values, meaning = (None, "") if shown is None else (np.array(shown), meaning)
         notes = agent.describe_presses() if isinstance(agent, SearchBaseline) else {}
-        return ObservedChoice(int(action), mask.copy(), values, "note" if notes else meaning, state_value,
+        return ObservedChoice(read_action(action), mask.copy(), values, "note" if notes else meaning, state_value,
                               self.states[-1], notes)
 
     def read_graph(self) -> frozenset[tuple[int, int]] | None:
@@ -259,8 +259,8 @@ class Watch:
         self._note_calls()
         if choice.state_value is not None:
             self.values.append((self.primitives, choice.state_value))
-        name = self.driver.names[choice.action]
-        is_option = choice.action >= self.driver.primitives and name in self.previewer.options
+        name = name_action(self.driver.names, choice.action)
+        is_option = isinstance(choice.action, int) and choice.action >= self.driver.primitives and name in self.previewer.options
         self.plan = self.previewer.preview(name, choice.state) if is_option else None
         self.on_change(None)
 
@@ -281,7 +281,7 @@ class Watch:
     def note_end(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
         """Record a completed decision."""
         option = info.get("option") or {"ended": "reached", "reason": ""}
-        name = self.driver.names[transition.action]
+        name = name_action(self.driver.names, transition.action)
         self.decisions.append(CompletedDecision(name, transition, option["ended"]))
         if option["ended"] != "reached":
             self._log(f"{name}: {option['ended']}" + (f", {option['reason']}" if option["reason"] else ""))
@@ -323,16 +323,16 @@ class _WatchedAgent(Agent):
         self._agent = watch.driver.agent
         self.settings = self._agent.settings
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
         return self.record(observation, serve_one(self._agent).act(observation, action_mask), action_mask)
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> Any:
         return self.record(observation, self._agent.act_greedy(observation, action_mask, rng), action_mask)
 
     def make_policy(self) -> Policy:
         return _WatchedPolicy(self, self._agent.make_policy())
 
-    def record(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> int:
+    def record(self, observation: Any, action: Any, mask: NDArray[np.bool_]) -> Any:
         self._watch.note_choice(self._watch.read(observation, action, mask))
         return action
 
@@ -358,7 +358,7 @@ class _WatchedPolicy(Policy):
     def act(self, batch: Moments) -> Any:
         return np.array((self.choose(batch.observation[0], batch.action_mask[0]),))
 
-    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+    def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
         return self._watched.record(observation, self._policy.choose(observation, action_mask), action_mask)
 
     def note_outcome(self, transition: SMDPTransition) -> None:
@@ -375,7 +375,7 @@ class _WatchedEnv(gymnasium.Wrapper):
 
     def step(self, action: Any) -> Any:
         shown = self.env.step(action)
-        transition = make_transition(None, int(action), np.ones(len(self._watch.driver.names), dtype=np.bool_), shown,
-                                     self._watch.driver.agent.gamma)
+        legal = np.ones(0 if isinstance(action, np.ndarray) else len(self._watch.driver.names), dtype=np.bool_)
+        transition = make_transition(None, action, legal, shown, self._watch.driver.agent.gamma)
         self._watch.note_end(transition, shown[4])
         return shown

@@ -10,7 +10,7 @@ displacement that happened, and eight draws around it. Nachum, Gu, Lee and Levin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -258,7 +258,7 @@ class Hiro(BatchAgent):
         if bool(over.any()):
             ended = env[over]
             factor = settings.gamma if is_sum else windows.discount[ended]
-            self.manager_replay.add(
+            self.store_windows(
                 seen=windows.start[ended], goal=windows.first[ended],
                 reward=windows.reward[ended] * settings.reward_scale, bootstrap=factor * ~terminated[over],
                 next_seen=next_view[over], views=windows.views[ended], actions=windows.actions[ended],
@@ -283,11 +283,19 @@ class Hiro(BatchAgent):
                 metrics |= {f"manager_{name}": value for name, value in found.items()}
         return metrics
 
+    def store_windows(self, **rows: Tensor) -> None:
+        """Store windows that ended, (n, ...) each, for the manager."""
+        self.manager_replay.add(**rows)
+
     def update_manager(self, drawn: Mapping[str, Tensor]) -> dict[str, float]:
         """Make one update of the manager from windows with relabelled goals."""
-        goal = self.relabel(drawn) if self.settings.correction else drawn["goal"]
+        goal, penalise = self.relabel(drawn) if self.settings.correction else drawn["goal"], self.find_penalty(drawn)
         return self.manager.update(drawn["seen"], (goal / self.goals.range).clamp(-1, 1), drawn["reward"],
-                                   drawn["bootstrap"], drawn["next_seen"])
+                                   drawn["bootstrap"], drawn["next_seen"], penalise)
+
+    def find_penalty(self, drawn: Mapping[str, Tensor]) -> Callable[[Tensor], Tensor] | None:
+        """Return an additional loss of the manager's actor as a function of its choices, or None: HIRO has none."""
+        return None
 
     def compute_likelihoods(self, drawn: Mapping[str, Tensor], candidates: Tensor) -> Tensor:
         """Return -1/2 sum over each window of |a_i - mu(s_i, g_i)|^2, (n, candidates) from goals (n, candidates, size).
