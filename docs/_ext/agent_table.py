@@ -11,24 +11,21 @@ from collections import defaultdict
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import tomllib
 from gallery import read_lines
-from gymnasium.spaces import Box
 from sphinx.application import Sphinx
 from tables import Table, list_hierarchical, make_table
 
-from hrl_escape.agents import make_agent
 from hrl_escape.agents.registry import (
     get_agent_class,
     list_agents,
+    list_continuous_agents,
     list_hierarchy_agents,
     list_many_env_agents,
     list_offline_agents,
     split_name,
 )
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.errors import EscapeError
 
 CANON = Path(__file__).parents[2] / "studies/canon/study.toml"
 FEWEST_ROOMS = 10
@@ -51,8 +48,11 @@ LEARNS = {
     "behaviour-cloning": (POLICY, "network or table"), "cql": (VALUE, "network or table"),
     "decision-transformer": (POLICY, "network"), "fitted-q": (VALUE, "network or table"), "hiql": (BOTH, "network"),
     "iql": (BOTH, "network or table"), "sharsa": (BOTH, "network or table"),
+    "sac": (BOTH, "network"), "td3": (BOTH, "network"), "hiro": (BOTH, "network"), "hrac": (BOTH, "network"),
+    "hac": (BOTH, "network"),
 }
 """Agent -> what it learns, and its representation."""
+ACTIONS = {"discrete": "discrete", "box": "continuous"}
 FOR_OPTIONS = ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "vigorito-barto")
 """Agents whose models are of options and buttons."""
 
@@ -88,16 +88,6 @@ def describe_result(name: str, rung: str) -> str:
     return f"{result:.2f}" if result is not None else ""
 
 
-def supports_velocities(name: str) -> bool:
-    """Whether an agent can be made for a `Box` of actions."""
-    box = Box(-np.ones(2, np.float32), np.ones(2, np.float32))
-    try:
-        make_agent(name, box, box, seed=0)
-    except (EscapeError, TypeError, AttributeError):
-        return False
-    return True
-
-
 def describe_learning(name: str) -> str:
     """What an agent learns, with the form in parentheses."""
     learns, form = LEARNS[name]
@@ -119,11 +109,12 @@ class Agents(Table):
     def write(self) -> str:
         """One row an agent."""
         many, rows = list_many_env_agents(), []
-        for name in dict.fromkeys([*list_agents(), *list_hierarchy_agents(), *list_offline_agents()]):
+        for name in dict.fromkeys([*list_agents(), *list_hierarchy_agents(), *list_offline_agents(),
+                                   *list_continuous_agents()]):
             page = "offline" if name in list_offline_agents() else name
             rows.append((
                 f"[{AgentSpec.parse(name).title}]({page}.md) `{name}`", describe_learning(name),
-                "discrete, continuous" if supports_velocities(name) else "discrete", list_needs(name),
+                ", ".join(ACTIONS[space] for space in get_agent_class(name).acts_in), list_needs(name),
                 "yes" if name in many else "", *(describe_result(name, rung) for rung in SHOWN)))
         return make_table(("agent", "learns", "actions", "needs", "many environments",
                            *(f"efficiency, {read_kinds()[rung]}" for rung in SHOWN)), rows)

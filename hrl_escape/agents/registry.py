@@ -1,8 +1,9 @@
 """Registry of agents: names, classes, named settings, and agents of third parties.
 
 A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
-that the file defines, abstract ones aside. Agents of the family `given` act by a given hierarchy, and agents of
-`offline` learn from a data set, so spaces and settings alone are not enough to make them.
+that the file defines, abstract ones aside. Agents of the family `task_hierarchies` act by a given hierarchy, and agents
+of `offline` learn from a data set, so spaces and settings alone are not enough to make them. Agents of `continuous` act
+in a Box alone.
 
 `smdp-dqn` and `dqn` are one implementation. The prefix makes the agent choose among options, and can change named
 settings as the published program did. The random policy over options is `random-options`. Third-party
@@ -44,7 +45,10 @@ HIERARCHY_PARTS = ("hierarchy", "program", "goals", "goal_space", "landmarks", "
 
 
 def list_agents() -> list[str]:
-    """Names of all agents made from spaces and settings, shipped ones first; each also exists over options."""
+    """Names of all agents made from spaces and settings, for Discrete actions; each also exists over options.
+
+    Shipped ones come first. `list_continuous_agents` lists those that act in a Box alone.
+    """
     return [*_list_made(), *sorted(set(agents) - _find_shipped().keys() - ADAPTERS.keys())]
 
 
@@ -52,7 +56,7 @@ def list_many_env_agents() -> list[str]:
     """Names of the shipped agents that learn from many environments at once, in alphabetical order."""
     from hrl_escape.agents.single_env import MANY
 
-    return [name for name in sorted([*_list_made(), *list_hierarchy_agents()])
+    return [name for name in sorted([*_list_made(), *list_hierarchy_agents(), *list_continuous_agents()])
             if issubclass(get_agent_class(name), MANY)]
 
 
@@ -150,7 +154,7 @@ def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
         return
     over_options = name.startswith(SMDP_PREFIX)
     note = "" if over_options else f"; each also with {SMDP_PREFIX} in front, which chooses among options"
-    known = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
+    known = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents())
     raise UnknownNameError("agent", name, dict.fromkeys([*(join_name(each, over_options) for each in known),
                                                         RANDOM_OPTIONS, *others]), note)
 
@@ -177,7 +181,7 @@ def _find_shipped() -> dict[str, str]:
 def _list_made() -> list[str]:
     """Names of the algorithms that spaces and settings make."""
     return [name for name, module in _find_shipped().items()
-            if module.split(".")[-2] not in ("task_hierarchies", "offline")]
+            if module.split(".")[-2] not in ("task_hierarchies", "offline", "continuous")]
 
 
 def find_agent_module(name: str) -> str | None:
@@ -227,6 +231,11 @@ def list_hierarchy_agents() -> list[str]:
 def list_offline_agents() -> list[str]:
     """Names of the shipped agents that learn from a data set."""
     return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.offline.")]
+
+
+def list_continuous_agents() -> list[str]:
+    """Names of the shipped agents that act in a Box alone, such as velocities."""
+    return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.continuous.")]
 
 
 def find_hierarchy_part(agent: str | type[Agent]) -> str | None:

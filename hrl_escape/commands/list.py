@@ -28,6 +28,7 @@ from hrl_escape.agents.registry import (
     SMDP_PREFIX,
     find_agent_module,
     list_agents,
+    list_continuous_agents,
     list_hierarchy_agents,
     list_many_env_agents,
     list_offline_agents,
@@ -88,7 +89,10 @@ def run(args: ListArgs) -> None:
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
         "option-sets": _describe_option_sets,
-        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (*list_agents(), *list_hierarchy_agents())},
+        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (
+            *list_agents(), *list_hierarchy_agents(), *list_continuous_agents())},
+        "velocities": lambda: {name: _summarise(_parse_agent(name)) for name in (
+            *(name for name in list_agents() if "box" in get_agent_class(name).acts_in), *list_continuous_agents())},
         "parts": lambda: {f"+{name}": part.about for name, part in PARTS.items()},
         "recipes": _describe_recipes,
         "batched": lambda: {name: _summarise(_parse_agent(name)) for name in list_many_env_agents()},
@@ -112,7 +116,7 @@ def run(args: ListArgs) -> None:
 
 def _describe_recipes() -> dict[str, str]:
     """Return the named settings of every agent with several, the default first."""
-    names = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
+    names = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents())
     found = {name: list(list_recipes(name)) for name in names}
     return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
 

@@ -12,7 +12,12 @@ from pathlib import Path
 import pytest
 
 import hrl_escape
-from hrl_escape.agents.registry import list_agents, list_hierarchy_agents, list_offline_agents
+from hrl_escape.agents.registry import (
+    list_agents,
+    list_continuous_agents,
+    list_hierarchy_agents,
+    list_offline_agents,
+)
 from hrl_escape.agents.training.results import METRICS
 from hrl_escape.cli import find_commands
 from hrl_escape.env.presets import PRESETS, TAGS, make_env_name
@@ -101,7 +106,7 @@ def test_every_metric_and_preset_is_explained(site: Path):
 
 def test_every_agent_is_a_row_of_the_table(site: Path):
     page = read(site / "agents" / "index.html").partition("All agents")[2]
-    agents = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents())
+    agents = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents())
     assert [name for name in agents if name not in page] == []
 
 

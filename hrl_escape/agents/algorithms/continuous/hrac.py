@@ -17,7 +17,7 @@ import gymnasium
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.algorithms.goals.hiro import Hiro, HiroSettings
+from hrl_escape.agents.algorithms.continuous.hiro import Hiro, HiroSettings
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import Learner, make_generator, make_network
 from hrl_escape.agents.state import Kept

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.agents.agent import AgentSettings, RunningCall
-from hrl_escape.agents.algorithms.td3 import TwinDelayed
+from hrl_escape.agents.algorithms.continuous.td3 import TwinDelayed
 from hrl_escape.agents.batch_agent import BatchAgent
 from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.box_actions import BoxActions

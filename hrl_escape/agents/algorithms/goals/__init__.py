@@ -1,1 +1,0 @@
-"""Hierarchies with continuous goals, for actions in a Box."""
