@@ -46,7 +46,7 @@ from hrl_escape.names import join_words
 from hrl_escape.options.option_sets import option_sets
 
 Kind = Literal["recommended", "presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "option-sets", "agents", "parts", "recipes", "batched", "hierarchical", "offline", "references",
+               "option-sets", "agents", "velocities", "parts", "recipes", "batched", "hierarchical", "offline", "references",
                "comparisons"]
 
 TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
@@ -55,6 +55,7 @@ TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
           "recipes": "recipes: named settings of agents that have several, as in smdp-dqn@keras-rl-2019",
           "batched": "batched: agents that learn in many rooms at once, see --num-envs of `hrl-escape train`",
           "agents": f"agents; with {SMDP_PREFIX} in front they choose among options",
+          "velocities": "velocities: agents that act in a Box, in one environment or many",
           "hierarchical": "hierarchical: agents that are given a hierarchy, as in maxq-q+planned",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: agents without training, for comparison with learners"}
