@@ -88,7 +88,8 @@ class Agent(Stateful, ABC):
 
     For `make_agent` by name, a class also has `Settings`, a frozen dataclass such as an `AgentSettings`. It is
     constructed as `Class(observation_space, action_space, seed, settings)`, with Discrete or Box actions as the class
-    supports; the seed determines all of its randomness. It is published under the entry-point group `hrl_escape.agents`:
+    supports; the seed determines all of its randomness. It is published under the entry-point group
+    `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]
         my-agent = "my_package.my_module:MyAgent"
@@ -457,8 +458,8 @@ def make_transition(observation: Any, action: Any, action_mask: NDArray[np.bool_
     duration = paid.duration
     option = read_option(info)
     cut = truncated and not terminated and (duration > 1 if option is None else option["ended"] == "episode-over")
-    return SMDPTransition(observation, read_action(action), action_mask, paid.compute_discounted(gamma), paid.summed, duration,
-                          gamma**duration, next_observation, read_action_mask(info, len(action_mask)),
+    return SMDPTransition(observation, read_action(action), action_mask, paid.compute_discounted(gamma), paid.summed,
+                          duration, gamma**duration, next_observation, read_action_mask(info, len(action_mask)),
                           bool(terminated), bool(truncated), read_trace(info, duration), bool(cut))
 
 
@@ -544,7 +545,8 @@ def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
     if agent.made_for not in (None, _find_form(action_space)):
         made, has = (f"a Box of shape {form}" if isinstance(form, tuple) else f"{form} actions"
                      for form in (agent.made_for, _find_form(action_space)))
-        raise UnsupportedSpaceError(f"this {name} was made for {made}, and the environment has {has}: give the environment of its training, with options where it had them")
+        raise UnsupportedSpaceError(f"this {name} was made for {made}, and the environment has {has}: give the "
+                                    "environment of its training, with options where it had them")
     return actions
 
 

@@ -93,7 +93,8 @@ def refuse_old(text: str) -> None:
     head, *words = text.split("+")
     name, _, recipe = head.partition("@")
     is_finite = split_name(name)[0] in FINITE and (name not in FINITE or bool(set(words) & {"planned", "learned"}))
-    if not (name in NEW_NAMES or is_finite or (recipe and _convert_recipe(name, recipe) != recipe) or set(words) & set(_OLD_PARTS)):
+    is_old = name in NEW_NAMES or is_finite or (recipe and _convert_recipe(name, recipe) != recipe)
+    if not (is_old or set(words) & set(_OLD_PARTS)):
         return
     known = [word for word in words if word in (*_OLD_PARTS, *_ORDER)]
     spec = convert_label("+".join((head, *known)), False if is_finite else None)

@@ -25,6 +25,7 @@ from rich.table import Table
 
 from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.registry import (
+    get_agent_class,
     SMDP_PREFIX,
     find_agent_module,
     list_agents,
@@ -46,8 +47,8 @@ from hrl_escape.names import join_words
 from hrl_escape.options.option_sets import option_sets
 
 Kind = Literal["recommended", "presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "option-sets", "agents", "velocities", "parts", "recipes", "batched", "hierarchical", "offline", "references",
-               "comparisons"]
+               "option-sets", "agents", "velocities", "parts", "recipes", "batched", "hierarchical", "offline",
+               "references", "comparisons"]
 
 TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
           "recommended": "recommended: which agent to begin with",
@@ -60,7 +61,7 @@ TITLES = {"option-sets": "option sets: see --option-set of `hrl-escape train`",
           "offline": "offline: agents that learn from a data set, `hrl-escape train smdp-iql --data pair-play-v1`",
           "references": "references: agents without training, for comparison with learners"}
 
-SLOW = ("recipes", "batched", "option-sets")
+SLOW = ("recipes", "batched", "option-sets", "velocities")
 """Kinds that import every algorithm or the planners, which takes seconds; listed on request."""
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
@@ -74,7 +75,8 @@ class ListArgs:
     """Options of `hrl-escape list`."""
 
     kinds: Annotated[tuple[Kind, ...], tyro.conf.Positional] = ()
-    """Kinds of names to list; by default all except recipes, batched and option-sets, which are slow to import."""
+    """Kinds of names to list; by default all except recipes, batched, velocities and option-sets, which are
+    slow to import."""
     json: bool = False
     """Print JSON instead of tables."""
 

@@ -76,7 +76,7 @@ class PointMazeVectorEnv(VectorEnv):
         if rates.shape != (self.num_envs, 2):
             raise BatchError("action", actions, f"numbers of shape ({self.num_envs}, 2)")
         self._point = self._maze.move(self._point, rates.clamp(-1, 1))
-        self._steps += 1
+        self._steps = self._steps + 1
         reward, terminated = self._maze.judge(self._point, self._goal)
         truncated = (self._steps >= self._most_steps) & ~terminated
         over, infos = terminated | truncated, self._inform(terminated)

@@ -79,7 +79,8 @@ OWN = {
 
 
 @pytest.mark.nightly_for(
-    "h-dqn", "hac-finite", "option-keyboard", "sol", "taxi", "feudal-rl", "hrac-finite", "macro-q", "taxi, no abstraction")
+    "h-dqn", "hac-finite", "option-keyboard", "sol", "taxi", "feudal-rl", "hrac-finite", "macro-q",
+    "taxi, no abstraction")
 @pytest.mark.parametrize("name", [*GRAPHS, *OWN])
 def test_every_hierarchy_keeps_every_promise(name):
     check_hierarchy(*(GRAPHS | OWN)[name](), primitives=150)

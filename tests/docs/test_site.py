@@ -136,6 +136,7 @@ TUTORIALS = {
     "generalise": r"learner: [12]\d of 20 escapes, (\d+) primitives .*random policy: "
                   r".*search baseline: 20 of 20 .*oracle: 20 of 20",
     "many_rooms": r"16 rooms at once: 12,\d+ primitives in \d+ s .*an unseen room: escaped after \d+ primitives",
+    "continuous_goals": r"6,\d+ primitives, 2 evaluations",
     "plan_arm": r"[1-9]\d postures, joint margin .* places of the arm tested on the way escape: [12]\d primitives",
     "torchrl_options": r"5,120 decisions: +[1-9]\d+ escapes .* targets of long walks: -?\d+\.\d with durations",
     "own_play": r"142 primitives, 16 decisions, 3 episodes.* smdp-fitted-q\+primitives: return 64 after 36 primitives",

@@ -92,7 +92,8 @@ def test_tables_see_pose_touched_targets_and_facts_and_nothing_else():
         assert all(space.view.space.contains(np.array(view)) for view in views)
 
 
-@pytest.mark.nightly_for("hac-finite-events", "option-keyboard-events", "hrac-finite-displacements", "hiro-finite-displacements")
+@pytest.mark.nightly_for("hac-finite-events", "option-keyboard-events", "hrac-finite-displacements",
+                         "hiro-finite-displacements")
 @pytest.mark.parametrize(("agent", "kind"), AGENTS.items())
 def test_every_agent_of_goals_keeps_its_promises_in_a_room(agent, kind):
     assert find_kind(agent) == kind

@@ -3,6 +3,29 @@
 from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
+    Mutation("sac values the next state without its entropy",
+             "agents/algorithms/continuous/sac.py::SAC.compute_targets",
+             "value - self.alpha * log_density", "value",
+             "agents/algorithms/continuous/test_flat.py::test_sac_s_targets_are_soft_values_of_the_smaller_critic"),
+    Mutation("td3 takes the larger critic", "agents/algorithms/continuous/td3.py::TwinDelayed.compute_targets",
+             "torch.minimum(*", "torch.maximum(*", "agents/algorithms/continuous/test_flat.py::"
+             "test_td3_s_targets_smooth_the_target_action_and_take_the_smaller_critic"),
+    Mutation("the worker's goal is stale after a move", "agents/algorithms/continuous/hiro.py::Hiro.observe",
+             "left = point + goal - next_point", "left = goal + 0 * (point - next_point)",
+             "agents/algorithms/continuous/test_hiro.py::"
+             "test_both_levels_store_what_happened_and_only_the_environment_pays_the_manager"),
+    Mutation("the worker's task ends with its window", "agents/algorithms/continuous/hiro.py::Hiro.observe",
+             "** duration.float() * ~terminated,",
+             "** duration.float() * ~(terminated | (windows.length[env] == settings.window - 1)),",
+             "agents/algorithms/continuous/test_hiro.py::"
+             "test_both_levels_store_what_happened_and_only_the_environment_pays_the_manager"),
+    Mutation("a missed goal is learned as if it had been reached", "agents/algorithms/continuous/hac.py::Hac.observe",
+             "torch.where(missed[:, None], there, steps", "torch.where(missed[:, None], steps[\"choice\"][at], steps",
+             "agents/algorithms/continuous/test_hac.py::"
+             "test_every_level_learns_in_hindsight_and_from_missed_tests"),
+    Mutation("hindsight replays goals of earlier states", "agents/components/goal_replay.py::GoalReplay.sample",
+             "later = own + (row[1]", "later = own - (row[1]", "agents/components/test_goal_replay.py::"
+             "test_goals_come_from_the_same_episode_at_or_after_the_decision"),
     Mutation("sarsa in many environments values the best action", "agents/algorithms/sarsa.py::Sarsa.compute_targets",
              "(weights * self.values.target(batch.next_observation)).sum(dim=1)",
              "self.values.target(batch.next_observation).max(dim=1).values",

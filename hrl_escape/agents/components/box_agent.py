@@ -17,7 +17,9 @@ from hrl_escape.agents.decisions import Decisions, Moments
 
 
 class BoxAgent(ReplayAgent):
-    """Base class: random actions during the warm-up, then those of `explore`; replay holds points of the cube [-1, 1]^n.
+    """Base class: random actions during the warm-up, then those of `explore`.
+
+    Replay holds points of the cube [-1, 1]^n.
 
     Args:
         goal_rule: reward and termination of an environment with goals, for `hindsight_goals`.

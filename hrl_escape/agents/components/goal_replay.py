@@ -79,7 +79,7 @@ class GoalReplay(Stateful):
                       "desired": zeros(size).double()}
         self._count = torch.zeros(num_envs, dtype=torch.int64, device=arrays.device)  # decisions of each environment
         self._begin = torch.zeros_like(self._count)  # number of the first decision of its episode
-        self._end = torch.full((place,), -1, device=arrays.device)  # number of the last of the episode, -1 while it runs
+        self._end = torch.full((place,), -1, device=arrays.device)  # last number of the episode, -1 while it runs
 
     def __len__(self) -> int:
         return int(self._count.clamp(max=self._length).sum())

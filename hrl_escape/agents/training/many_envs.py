@@ -63,7 +63,8 @@ class VectorManyEnvs:
     primitives `duration`, `discount`, `discounted_reward` and `summed_reward`; and `is_success`, else `success`, at the
     end of an episode. An array `_action_mask`, bool (environments,), and so on, marks the valid entries; in an
     environment without a mask every action is legal. Box actions have no mask. Observations with goals, a Dict, become
-    rows in the order of its keys, as in `gymnasium.spaces.flatten`. Wrappers of the vector environment act on every step.
+    rows in the order of its keys, as in `gymnasium.spaces.flatten`. Wrappers of the vector environment act on every
+    step.
 
     Args:
         env: numpy arrays, or tensors, which stay on their device.

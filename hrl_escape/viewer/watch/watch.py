@@ -260,7 +260,8 @@ class Watch:
         if choice.state_value is not None:
             self.values.append((self.primitives, choice.state_value))
         name = name_action(self.driver.names, choice.action)
-        is_option = isinstance(choice.action, int) and choice.action >= self.driver.primitives and name in self.previewer.options
+        is_number = isinstance(choice.action, int) and choice.action >= self.driver.primitives
+        is_option = is_number and name in self.previewer.options
         self.plan = self.previewer.preview(name, choice.state) if is_option else None
         self.on_change(None)
 

@@ -74,7 +74,7 @@ def test_agents_of_discrete_actions_refuse_a_box_and_the_other_way_round():
     with pytest.raises(UnsupportedSpaceError, match="hiro-finite"):
         train("hiro", gymnasium.make("CartPole-v1"), primitives=10)
     agent = train("ppo", gymnasium.make("Pendulum-v1"), primitives=10, eval_episodes=0, progress=False).agent
-    with pytest.raises(UnsupportedSpaceError, match=r"made for a Box of shape \(1,\), and the environment has 2 actions"):
+    with pytest.raises(UnsupportedSpaceError, match=r"made for a Box of shape \(1,\), and .* has 2 actions"):
         evaluate(agent, gymnasium.make("CartPole-v1"), 1)
 
 

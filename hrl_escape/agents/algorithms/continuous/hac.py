@@ -99,7 +99,7 @@ class Level(Stateful):
     def __init__(self, name: str, goals: GoalReader, choices: int, settings: HacSettings, generator: torch.Generator
                  ) -> None:
         self._settings, self.choices = settings, choices
-        extra = goals.size + goals.own_size - goals.encoder.shape[0]  # a level sees its goal in place of the desired one
+        extra = goals.size + goals.own_size - goals.encoder.shape[0]  # a level sees its goal, not the desired one
         self.actor = make_network(goals.encoder, choices, settings, generator, extra)
         self.critic = make_network(goals.encoder, 1, settings, generator, extra + choices)
         self._actor_learner = Learner(name, {"actor": self.actor}, ["actor"], settings)
@@ -198,8 +198,8 @@ class Hac(BatchAgent):
         self.settings = settings = settings or self.Settings()
         self.box = BoxActions(action_space, self.name)
         if not is_goal_space(observation_space):
-            raise UnsupportedSpaceError(f"{self.name} pursues the goal of the environment: it needs observations in a Dict "
-                                        f"of observation, achieved_goal and desired_goal, not {observation_space}")
+            raise UnsupportedSpaceError(f"{self.name} pursues the goal of the environment: it needs observations in a "
+                                        f"Dict of observation, achieved_goal and desired_goal, not {observation_space}")
         self.goals = goals = GoalReader(observation_space, (), (), settings.scale_observations, self.name)
         self._goal_box = BoxActions(gymnasium.spaces.Box(goals.low.numpy(), goals.high.numpy()), self.name)
         generator = make_generator(make_rng(seed, "weights"))

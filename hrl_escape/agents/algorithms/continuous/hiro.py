@@ -2,7 +2,8 @@
 
     worker:   r = -|s + g - s'|,  g' = h(s, g, s') = s + g - s',  TD3 on ((s, g), a, r, (s', g'))
     manager:  every c decisions, TD3 on (s_t, g~, sum of rewards, s_{t+c})
-    g~ = argmax over ten candidates g of -1/2 sum over the window of |a_i - mu(s_i, g_i)|^2,  g_{i+1} = h(s_i, g_i, s_{i+1})
+    g~ = argmax over ten candidates g of -1/2 sum over the window of |a_i - mu(s_i, g_i)|^2,
+         g_{i+1} = h(s_i, g_i, s_{i+1})
 
 s in these equations is the point of an observation in the goal space. The candidates are the goal that was set, the
 displacement that happened, and eight draws around it. Nachum, Gu, Lee and Levine (2018).

@@ -135,7 +135,8 @@ class SAC(BoxAgent):
         """Make one gradient step of critics, actor and temperature, and blend the targets."""
         observation, _, action, reward, bootstrap, next_observation, _ = map(torch.as_tensor, batch)
         targets = self.compute_targets(reward, bootstrap, next_observation)
-        losses = [functional.mse_loss(value, targets) for value in self._compute_values(self.critics, observation, action)]
+        values = self._compute_values(self.critics, observation, action)
+        losses = [functional.mse_loss(value, targets) for value in values]
         metrics = {"loss": self._critic_learner.minimise(losses[0] + losses[1]),
                    "gradient_norm": self._critic_learner.gradient_norm}
         points, log_density = self._draw(observation)

@@ -136,8 +136,7 @@ class TwinDelayed(Stateful):
                penalise: Callable[[Tensor], Tensor] | None = None) -> dict[str, float]:
         """Make one update from decisions, (n, ...) each; returns numbers to log.
 
-        Args:
-            penalise: additional loss of the actor as a function of its actions, or None.
+        `penalise` is an additional loss of the actor as a function of its actions, or None.
         """
         targets = self.compute_targets(reward, bootstrap, next_observation)
         pairs = torch.cat((observation, action), dim=1)

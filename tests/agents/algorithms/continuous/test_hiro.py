@@ -56,7 +56,8 @@ def test_both_levels_store_what_happened_and_only_the_environment_pays_the_manag
         for env in range(ENVS):
             window = running[env]
             if window is None:
-                window = running[env] = {"start": seen[env], "goal": goal[env], "reward": 0.0, "factor": 1.0, "length": 0}
+                window = running[env] = {"start": seen[env], "goal": goal[env], "reward": 0.0, "factor": 1.0,
+                                         "length": 0}
             else:  # the same point of the room is aimed at until the window ends
                 assert torch.allclose(goal[env] + seen[env][:2], window["goal"] + window["start"][:2], atol=1e-4)
             left = goal[env] + seen[env][:2] - after[env][:2]
