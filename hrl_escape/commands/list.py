@@ -25,9 +25,9 @@ from rich.table import Table
 
 from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.registry import (
-    get_agent_class,
     SMDP_PREFIX,
     find_agent_module,
+    get_agent_class,
     list_agents,
     list_continuous_agents,
     list_hierarchy_agents,

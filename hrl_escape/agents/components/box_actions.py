@@ -31,8 +31,8 @@ class BoxActions:
                 f"{agent} needs actions in a Box of floats, not {space}. For Discrete actions, such as options, take "
                 f"ppo, dqn, rainbow or torchrl-sac{finite}")
         if not (np.isfinite(space.low).all() and np.isfinite(space.high).all() and (space.high > space.low).all()):
-            raise UnsupportedSpaceError(f"{agent} needs finite bounds of actions, low below high, not {space}: give the "
-                                        "environment a bounded action space in a wrapper")
+            raise UnsupportedSpaceError(f"{agent} needs finite bounds of actions, low below high, not {space}: give "
+                                        "the environment a bounded action space in a wrapper")
         self._shape, self.size = space.shape, math.prod(space.shape)
         self.low, self.high = (bound.astype(np.float32).reshape(-1) for bound in (space.low, space.high))
         self._middle, self._half = (self.high + self.low) / 2, (self.high - self.low) / 2

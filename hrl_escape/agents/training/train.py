@@ -89,9 +89,9 @@ def train(
         agent: a spec such as `dqn`, `smdp-dqn` or `smdp-ppo+objects+memory` (see `agents.spec`), a class, or an agent
             instance without training. The options, memory and hierarchy of a spec must be the environment's.
         env: Discrete or Box actions, as the agent supports; `agent.make_transition` documents the contract of `step`.
-            It must not depend on state from before `reset(seed=...)`, which is called for every episode. An environment of your own must keep its
-            arguments under their names, or have a `describe` method (see `DescribedEnv`), so that runs with other
-            arguments have another identity. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn
+            It must not depend on state from before `reset(seed=...)`, which is called for every episode. An environment
+            of your own must keep its arguments under their names, or have a `describe` method (see `DescribedEnv`), so
+            that runs with other arguments have another identity. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn
             from many environments (see `list_many_env_agents`) on its device; returns are then logged by segments of
             steps instead of episodes. With `data` it is the evaluation environment, by default the data set's.
         primitives: budget, of all environments together. The decision that reaches it is the last. With `data` the

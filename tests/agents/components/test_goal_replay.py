@@ -32,7 +32,8 @@ def decide(before, after, goal, terminated, truncated, duration=1):
     reward = -(after - goal).abs()
     none = torch.ones((count, 0), dtype=torch.bool)
     batch = Decisions(torch.arange(count), rows[0], none, before[:, None], reward, reward,
-                      torch.full((count,), duration), torch.full((count,), GAMMA**duration), rows[1], none, terminated, truncated)
+                      torch.full((count,), duration), torch.full((count,), GAMMA**duration), rows[1], none,
+                      terminated, truncated)
     encoded = [torch.stack((point, goal), dim=1) for point in (before, after)]
     return batch, Experience(encoded[0], none, before[:, None], reward * 0.1, GAMMA * ~terminated, encoded[1], none)
 
