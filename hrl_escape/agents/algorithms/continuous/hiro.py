@@ -89,7 +89,7 @@ class HiroSettings(AgentSettings):
     updates_per_step: Annotated[float, Range(0)] = 1.0
     """Worker updates for each primitive; the manager makes one for every `window` of them."""
     max_updates: Annotated[int, Range(1)] = 8
-    """Most worker updates after a step of many environments. Where more are due, minibatches grow instead."""
+    """Most updates of each level after a step of many environments. Where more are due, minibatches grow instead."""
     max_batch_size: Annotated[int, Range(1)] = 1_024
     """Largest minibatch with many environments."""
     replay_capacity: Annotated[int, Range(1)] = 200_000
@@ -270,19 +270,24 @@ class Hiro(BatchAgent):
     def _update(self, primitives: int) -> dict[str, float]:
         settings, metrics = self.settings, {}
         due = self._schedule.advance(primitives, len(self.worker_replay))
-        count = due if self.place[1] is None else min(due, settings.max_updates)
-        for _ in range(count):
-            size = min(settings.batch_size * due // count, max(settings.batch_size, settings.max_batch_size))
+        for size in self._list_sizes(due):
             drawn = self.worker_replay.sample(size)
             found = self.worker.update(drawn["seen"], drawn["action"], drawn["reward"], drawn["bootstrap"],
                                        drawn["next_seen"])
             metrics |= {f"worker_{name}": value for name, value in found.items()}
-            self._manager_due += 1 / settings.window
-            if self._manager_due >= 1 and len(self.manager_replay):
-                self._manager_due -= 1
-                found = self.update_manager(self.manager_replay.sample(size))
-                metrics |= {f"manager_{name}": value for name, value in found.items()}
+        self._manager_due += due / settings.window
+        due = int(self._manager_due) if len(self.manager_replay) else 0
+        self._manager_due -= due
+        for size in self._list_sizes(due):
+            found = self.update_manager(self.manager_replay.sample(size))
+            metrics |= {f"manager_{name}": value for name, value in found.items()}
         return metrics
+
+    def _list_sizes(self, due: int) -> list[int]:
+        """Return the size of each minibatch for some due updates; with many environments fewer, larger ones."""
+        settings = self.settings
+        count = due if self.place[1] is None else min(due, settings.max_updates)
+        return [min(settings.batch_size * due // count, max(settings.batch_size, settings.max_batch_size))] * count
 
     def store_windows(self, **rows: Tensor) -> None:
         """Store windows that ended, (n, ...) each, for the manager."""
