@@ -92,8 +92,9 @@ def train(
             It must not depend on state from before `reset(seed=...)`, which is called for every episode. An environment
             of your own must keep its arguments under their names, or have a `describe` method (see `DescribedEnv`), so
             that runs with other arguments have another identity. A vector environment, or a `BatchedOptionsEnv`, trains
-            agents that learn from many environments (see `list_many_env_agents`) on its device; returns are then logged by segments of
-            steps instead of episodes. With `data` it is the evaluation environment, by default the data set's.
+            agents that learn from many environments (see `list_many_env_agents`) on its device; returns are then logged
+            by segments of steps instead of episodes. With `data` it is the evaluation environment, by default the data
+            set's.
         primitives: budget, of all environments together. The decision that reaches it is the last. With `data` the
             primitives learned from, counted at each pass; by default as many as the agent's `passes` say.
         data: data set, by name, by the path of a recording, or from `hrl_escape.data.load_data`, for agents that learn
