@@ -11,8 +11,8 @@ import dataclasses
 import numpy as np
 import tyro
 
-from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro
-from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import HiroFinite
+from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import HracFinite
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.inference import compare_pairs
@@ -37,11 +37,13 @@ class Args:
     """Lowest seed."""
 
 
-def make_agent(kind: str, env: FourRooms, seed: int, primitives: int) -> Hiro:
+def make_agent(kind: str, env: FourRooms, seed: int, primitives: int) -> HiroFinite:
     """`hiro-finite`, or `hrac-finite` with learned or exact adjacency, all with one set of settings."""
-    settings = Hiro.Settings(window=4, epsilon_steps=primitives // 2)
+    settings = HiroFinite.Settings(window=4, epsilon_steps=primitives // 2)
     given = (env.observation_space, env.action_space, seed, settings, SPACE)
-    return Hiro(*given) if kind == "any goal" else Hrac(*given, count_primitives_between if kind == "exact" else None)
+    if kind == "any goal":
+        return HiroFinite(*given)
+    return HracFinite(*given, count_primitives_between if kind == "exact" else None)
 
 
 def run(kind: str, seed: int, primitives: int) -> tuple[float, float]:

@@ -26,7 +26,7 @@ MAPS: dict[str, tuple[str, ...]] = {
 """Name -> rows of a map from the top, without its outer walls; # is wall, a cell is 1 m wide."""
 STEPS = {"u": 150, "medium": 300, "large": 400, "four-rooms": 300}
 """Name -> time limit in steps."""
-RADIUS = 0.1
+HALF_WIDTH = 0.1
 """Half the width of the point's square outline, m."""
 REACH = 0.45
 """Largest distance from a goal that counts as reached, m, as in PointMaze."""
@@ -65,7 +65,7 @@ class Maze:
         hit = False
         walls = self._is_wall if isinstance(point, np.ndarray) else point.new_tensor(self._is_wall).bool()
         for side in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            x, y = (self._find_cell(point[:, axis] + side[axis] * (RADIUS - 1e-4), axis) for axis in range(2))
+            x, y = (self._find_cell(point[:, axis] + side[axis] * (HALF_WIDTH - 1e-4), axis) for axis in range(2))
             hit = hit | walls[x, y]
         return hit
 
@@ -85,9 +85,9 @@ class Maze:
             ahead[:, axis] = ahead[:, axis] + shift
             blocked = self.hits_wall(ahead)
             sign = (shift > 0) * 2 - 1
-            edge = ahead[:, axis] + sign * RADIUS + self.half[axis]  # front, from the map's corner
+            edge = ahead[:, axis] + sign * HALF_WIDTH + self.half[axis]  # front, from the map's corner
             line = (np.floor(edge) if isinstance(edge, np.ndarray) else edge.floor()) + (sign < 0)
-            stop = line - self.half[axis] - sign * RADIUS
+            stop = line - self.half[axis] - sign * HALF_WIDTH
             ahead[:, axis] = ahead[:, axis] * ~blocked + stop * blocked
             moved = ahead
         return moved

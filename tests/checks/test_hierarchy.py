@@ -11,9 +11,9 @@ from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.algorithms.task_hierarchies.deep_abstract_q import DeepAbstractQ
 from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import FeudalRl, Quadtree
 from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
-from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import Hac
-from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro
-from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import HacFinite
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import HiroFinite
+from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import HracFinite
 from hrl_escape.agents.algorithms.task_hierarchies.macro_q import MacroQ
 from hrl_escape.agents.algorithms.task_hierarchies.option_keyboard import OptionKeyboard
 from hrl_escape.agents.algorithms.task_hierarchies.sol import Sol
@@ -67,12 +67,12 @@ GRAPHS = {
 OWN = {
     "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),
     "h-dqn": lambda: _run(HDqn, FourRooms(None), values="table", patience=5),
-    "hac-finite": lambda: _run(Hac, FourRooms(None)),
+    "hac-finite": lambda: _run(HacFinite, FourRooms(None)),
     "deep-abstract-q": lambda: _run(DeepAbstractQ, FourRooms(None), worker="table"),
     "option-keyboard": lambda: _run(OptionKeyboard, EmptyRoom(EDGE), patience=5),
     "sol": lambda: _run(Sol, FourRooms(None), hidden=(8,), longest=4),
-    "hiro-finite": lambda: _run(Hiro, FourRooms(None), window=5),
-    "hrac-finite": lambda: _run(Hrac, FourRooms(None), window=5),
+    "hiro-finite": lambda: _run(HiroFinite, FourRooms(None), window=5),
+    "hrac-finite": lambda: _run(HracFinite, FourRooms(None), window=5),
     "feudal-rl": lambda: _run(FeudalRl, BarrierMaze(), Quadtree(2, find_place), patience=3),
 }
 """Agents that make their hierarchy themselves."""

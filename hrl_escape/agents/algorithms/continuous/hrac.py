@@ -24,7 +24,7 @@ from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-MOST_CELLS = 4_096
+MOST_ADJACENCY_CELLS = 4_096
 """Largest number of cells of the goal space."""
 EMBEDDING = 32
 """Dimensions of psi."""
@@ -56,7 +56,7 @@ class Hrac(Hiro):
         is_visited: bool (cells,).
 
     Raises:
-        AgentSettingsError: the goal space is unbounded, or has more than `MOST_CELLS` cells.
+        AgentSettingsError: the goal space is unbounded, or has more than `MOST_ADJACENCY_CELLS` cells.
     """
 
     settings: HracSettings
@@ -67,8 +67,9 @@ class Hrac(Hiro):
         super().__init__(observation_space, action_space, seed, settings)
         settings, goals = self.settings, self.goals
         cells = settings.adjacency_bins**goals.size
-        if not bool(torch.isfinite(goals.high - goals.low).all()) or cells > MOST_CELLS:
-            raise AgentSettingsError("adjacency_bins", settings.adjacency_bins, f"at most {MOST_CELLS:,} cells in all "
+        if not bool(torch.isfinite(goals.high - goals.low).all()) or cells > MOST_ADJACENCY_CELLS:
+            raise AgentSettingsError("adjacency_bins", settings.adjacency_bins, "at most "
+                                     f"{MOST_ADJACENCY_CELLS:,} cells in all "
                                      f"{goals.size} components of a goal, with finite bounds")
         whole = SimpleNamespace(shape=(goals.size,), is_image=False)
         self.psi = make_network(whole, EMBEDDING, SimpleNamespace(hidden=settings.adjacency_hidden,  # type: ignore[arg-type]

@@ -27,7 +27,7 @@ END = -1
 
 
 @dataclass(frozen=True, kw_only=True)
-class HacSettings(AgentSettings):
+class HacFiniteSettings(AgentSettings):
     """Settings of `hac-finite`; `gamma` discounts once per choice of a level."""
 
     bins: Annotated[int, Range(2)] = 11
@@ -75,7 +75,7 @@ class _Level(GoalTask):
         return float(is_reached or frame.primitives >= self._limit)
 
 
-class Hac(CallRunner):
+class HacFinite(CallRunner):
     """Q_i(s, a; g) = 0 if a reaches g, else -1 + gamma max over a' of Q_i(s', a'; g), in [-H, 0].
 
     The actions a of a level above the primitives are goals for the level below, and g is its own goal. An action is
@@ -88,7 +88,7 @@ class Hac(CallRunner):
         goal_space: absolute goals; by default the result of `make_goal_space` for the observation space.
     """
 
-    Settings = HacSettings
+    Settings = HacFiniteSettings
     EPISODE = (*CallRunner.EPISODE, "_calls", "_tested")
     EPISODE_STATE = (*CallRunner.EPISODE_STATE, "calls", "tested")
     STATE = ("tables", Kept("_calls"), Kept("_tested"), "_action_rng")
@@ -99,8 +99,8 @@ class Hac(CallRunner):
     """Depth of the call whose subgoal is being tested; 0 for none."""
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: HacSettings | None = None, goal_space: GoalSpace | None = None) -> None:
-        settings = settings or HacSettings()
+                 settings: HacFiniteSettings | None = None, goal_space: GoalSpace | None = None) -> None:
+        settings = settings or HacFiniteSettings()
         actions = count_actions(action_space, "hac-finite")
         self.space = space = goal_space or make_goal_space(observation_space, "hac-finite")
         levels: list[_Level] = []

@@ -33,7 +33,7 @@ from hrl_escape.settings import Range
 
 
 @dataclass(frozen=True, kw_only=True)
-class HiroSettings(AgentSettings):
+class HiroFiniteSettings(AgentSettings):
     """Settings of `hiro-finite`; epsilon applies to the manager, and the worker explores by its softmax."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 1.0
@@ -119,7 +119,7 @@ class Naming(GoalTask):
         return open_goals if open_goals.any() else ~open_goals
 
 
-class Hiro(CallRunner):
+class HiroFinite(CallRunner):
     """Two levels of Q-learning, with the manager's goals relabelled before each use.
 
         worker:  Q1(s, a; g) <- -d(s', h(s, g, s')) + gamma_w^k max over a' of Q1(s', a'; h(s, g, s'))
@@ -133,7 +133,7 @@ class Hiro(CallRunner):
         goal_space: the goals; by default the result of `make_goal_space`, with absolute goals.
     """
 
-    Settings = HiroSettings
+    Settings = HiroFiniteSettings
     names_displacements = True
     """In rooms its goals are displacements on the floor, instead of events."""
     STATE = ("tables", Kept("_replay", pack=lambda kept: [each._asdict() for each in kept],
@@ -145,8 +145,8 @@ class Hiro(CallRunner):
     """Cells, point, mask and primitive of each primitive in the running window."""
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: HiroSettings | None = None, goal_space: GoalSpace | None = None) -> None:
-        settings = settings or HiroSettings()
+                 settings: HiroFiniteSettings | None = None, goal_space: GoalSpace | None = None) -> None:
+        settings = settings or HiroFiniteSettings()
         self._actions = count_actions(action_space, "hiro-finite")
         self.space = space = goal_space or make_goal_space(observation_space, "hiro-finite")
         self._worker = Pursuit(space, self._actions, settings.window)

@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro, HiroSettings
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import HiroFinite, HiroFiniteSettings
 from hrl_escape.agents.hierarchy.goal_space import GoalPoint, GoalSpace
 from hrl_escape.agents.hierarchy.task import Return, Seen
 from hrl_escape.agents.state import Kept
@@ -21,7 +21,7 @@ CountSteps = Callable[[GoalPoint, GoalPoint], NDArray[np.float64]]
 """Fewest primitives from a point to points (..., dimensions), (...)."""
 
 
-class Hrac(Hiro):
+class HracFinite(HiroFinite):
     """`hiro-finite` over goals whose points are adjacent: at most c primitives away.
 
     Learned adjacency holds the pairs of points (p, p') such that p' was seen within c primitives after p in one window.
@@ -36,7 +36,7 @@ class Hrac(Hiro):
                   unpack=lambda saved: {row.tobytes() for row in np.asarray(saved)}),)
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: HiroSettings | None = None, goal_space: GoalSpace | None = None,
+                 settings: HiroFiniteSettings | None = None, goal_space: GoalSpace | None = None,
                  count_steps: CountSteps | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings, goal_space)
         self._count_steps = count_steps

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import END, Hac
+from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import END, HacFinite
 from tests.agents.running import learn
 from tests.agents.small_envs import Outcome, SmdpEnv
 from tests.classic.exact import find_fewest_primitives
@@ -21,7 +21,7 @@ ROW = SmdpEnv(tuple(((Outcome(1.0, max(cell - 1, 0), (-1.0,)),), (Outcome(1.0, m
 
 
 def make(env, seed=0, **settings):
-    return Hac(env.observation_space, env.action_space, seed, Hac.Settings(**settings))
+    return HacFinite(env.observation_space, env.action_space, seed, HacFinite.Settings(**settings))
 
 
 def walk(choices, cells, terminated=False, **settings):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import Hiro, Window
-from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import Hrac
+from hrl_escape.agents.algorithms.task_hierarchies.hiro_finite import HiroFinite, Window
+from hrl_escape.agents.algorithms.task_hierarchies.hrac_finite import HracFinite
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, make_goal_space
 from hrl_escape.checks import check_agent
 from tests.agents.running import interact, learn
@@ -20,11 +20,11 @@ CELLS = np.array(GRID.cells, np.float64)
 HERE = GoalSpace(lambda cell: CELLS[cell], SHIFTS, is_relative=True)
 
 
-def make(env, space=HERE, agent_class=Hiro, seed=0, **settings):
-    return agent_class(env.observation_space, env.action_space, seed, Hiro.Settings(**settings), space)
+def make(env, space=HERE, agent_class=HiroFinite, seed=0, **settings):
+    return agent_class(env.observation_space, env.action_space, seed, HiroFinite.Settings(**settings), space)
 
 
-def learn_something(agent_class=Hiro, decisions=600, **settings):
+def learn_something(agent_class=HiroFinite, decisions=600, **settings):
     env = FourRooms(None, "none", horizon=100)
     agent = make(env, agent_class=agent_class, **{"window": 4, "epsilon_steps": 10**9} | settings)
     learn(agent, env, decisions)
@@ -97,13 +97,13 @@ def test_the_worker_of_an_oracle_goes_within_5_percent_of_the_shortest_way():
     cells = np.array(grid.cells, np.float64)
     space = GoalSpace(lambda cell: cells[cell], SHIFTS, is_relative=True)
     env = GoalGrid(grid, None, horizon=50)
-    settings = Hiro.Settings(window=4, epsilon_start=1.0, epsilon_end=1.0, correction=False, batch_size=1,
+    settings = HiroFinite.Settings(window=4, epsilon_start=1.0, epsilon_end=1.0, correction=False, batch_size=1,
                              learning_rate=1.0, temperature=1e6, worker_gamma=0.5)
 
     def count_steps(start, ends):
         return np.where(((ends >= 0) & (ends <= 4)).all(axis=-1), np.abs(ends - start).sum(axis=-1), np.inf)
 
-    agent = Hrac(env.observation_space, env.action_space, 0, settings, space, count_steps)
+    agent = HracFinite(env.observation_space, env.action_space, 0, settings, space, count_steps)
     learn(agent, env, 15_000)
     walked = shortest = 0
     for start in range(25):
@@ -121,8 +121,9 @@ def test_the_worker_of_an_oracle_goes_within_5_percent_of_the_shortest_way():
 @pytest.mark.nightly
 def test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_is_learned():
     """Learned within windows of 4: no pair that is farther, and nearly every pair that is not."""
-    learned = learn_something(Hrac, 8_000, temperature=1e6, correction=False, batch_size=1)
-    exact = Hrac(learned_space := spaces.Discrete(len(GRID)), spaces.Discrete(4), 0, Hiro.Settings(window=4), HERE,
+    learned = learn_something(HracFinite, 8_000, temperature=1e6, correction=False, batch_size=1)
+    learned_space, settings = spaces.Discrete(len(GRID)), HiroFinite.Settings(window=4)
+    exact = HracFinite(learned_space, spaces.Discrete(4), 0, settings, HERE,
                  count_primitives_between)
     assert learned_space.n == len(CELLS) and exact.privileges == ("goals", "adjacency")
     share = []
@@ -138,11 +139,11 @@ def test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_
     seen = exact.hierarchy.see(doorway, np.ones(4, np.bool_))
     legal = np.ones(len(SHIFTS), np.bool_)
     assert exact.find_allowed(seen, legal).sum() < legal.sum()
-    nowhere = Hrac(spaces.Discrete(104), spaces.Discrete(4), 0, Hiro.Settings(window=4), HERE)
+    nowhere = HracFinite(spaces.Discrete(104), spaces.Discrete(4), 0, HiroFinite.Settings(window=4), HERE)
     assert nowhere.find_allowed(seen, legal).all(), "where none is known to be near, all may be named"
 
 
-@pytest.mark.parametrize("agent_class", [Hiro, pytest.param(Hrac, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("agent_class", [HiroFinite, pytest.param(HracFinite, marks=pytest.mark.slow)])
 def test_it_keeps_the_contract_of_agents_with_and_without_a_space(agent_class):
     def construct(observation_space, action_space, seed, settings):
         shifts = np.array([(0.2, 0.0), (-0.2, 0.0), (0.0, 1.0)])
@@ -150,7 +151,7 @@ def test_it_keeps_the_contract_of_agents_with_and_without_a_space(agent_class):
         return agent_class(observation_space, action_space, seed, settings, space)
 
     construct.__name__ = agent_class.__name__
-    check_agent(construct, Hiro.Settings(window=3, replay_capacity=20, batch_size=2), decisions=100)
+    check_agent(construct, HiroFinite.Settings(window=3, replay_capacity=20, batch_size=2), decisions=100)
 
 
 def test_goals_of_a_space_are_its_bounds_and_components_that_do_not_matter_are_nan():
