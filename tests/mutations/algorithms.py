@@ -88,15 +88,15 @@ MUTATIONS = [
              "agents/algorithms/task_hierarchies/hac_finite.py::HacFinite.learn",
              "actions = [decision.choice] if is_lowest else np.flatnonzero(reached & decision.legal).tolist()",
              "actions = [decision.choice]",
-             "agents/algorithms/task_hierarchies/test_hac.py::test_an_action_is_learned_from_as_the_goal_that_was_reached"),
+             "agents/algorithms/task_hierarchies/test_hac_finite.py::test_an_action_is_learned_from_as_the_goal_that_was_reached"),
     Mutation("a goal is not advanced along the logged way",
              "agents/algorithms/task_hierarchies/hiro_finite.py::HiroFinite.compute_likelihoods",
              "told = self.space.goals + (window.points[0] - point) * self.space.is_relative", "told = self.space.goals",
-             "agents/algorithms/task_hierarchies/test_hiro.py::test_a_goal_is_as_likely_as_the_product_over_the_logged_way"),
+             "agents/algorithms/task_hierarchies/test_hiro_finite.py::test_a_goal_is_as_likely_as_the_product_over_the_logged_way"),
     Mutation("goals that are far may be named",
              "agents/algorithms/task_hierarchies/hrac_finite.py::HracFinite.find_allowed",
              "return near if near.any() else legal", "return legal",
-             "agents/algorithms/task_hierarchies/test_hiro.py::"
+             "agents/algorithms/task_hierarchies/test_hiro_finite.py::"
              "test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_is_learned"),
     Mutation("a step of many primitives discounts once",
              "agents/algorithms/task_hierarchies/deep_abstract_q.py::DeepAbstractQ.learn",
