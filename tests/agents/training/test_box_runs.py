@@ -7,6 +7,7 @@ from gymnasium.vector import SyncVectorEnv
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import Callback, evaluate, load_agent, train
+from hrl_escape.agents.training import many_envs
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import UnsupportedSpaceError
 
@@ -41,7 +42,8 @@ def make(is_many):
 @pytest.mark.parametrize(("name", "is_many"), [
     pytest.param(name, is_many, id=f"{name}-{'many' if is_many else 'one'}")
     for name in SMALL for is_many in (False, True)])
-def test_a_killed_run_goes_on_to_the_same_bits(tmp_path, name, is_many):
+def test_a_killed_run_goes_on_to_the_same_bits(tmp_path, monkeypatch, name, is_many):
+    monkeypatch.setattr(many_envs, "SEGMENT_PRIMITIVES", 64)  # checkpoints are made between segments
     arguments = {"primitives": 200, "settings": SMALL[name], "eval_every": 80, "eval_episodes": 1, "progress": False,
                  "checkpoint_seconds": 0}
     whole = train(name, make(is_many), **arguments)

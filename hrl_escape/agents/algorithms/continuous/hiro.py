@@ -287,7 +287,8 @@ class Hiro(BatchAgent):
         """Return the size of each minibatch for some due updates; with many environments fewer, larger ones."""
         settings = self.settings
         count = due if self.place[1] is None else min(due, settings.max_updates)
-        return [min(settings.batch_size * due // count, max(settings.batch_size, settings.max_batch_size))] * count
+        largest = max(settings.batch_size, settings.max_batch_size)
+        return [min(settings.batch_size * due // max(count, 1), largest)] * count
 
     def store_windows(self, **rows: Tensor) -> None:
         """Store windows that ended, (n, ...) each, for the manager."""

@@ -123,8 +123,7 @@ def test_adjacency_is_exact_where_it_is_given_and_never_more_than_that_where_it_
     """Learned within windows of 4: no pair that is farther, and nearly every pair that is not."""
     learned = learn_something(HracFinite, 8_000, temperature=1e6, correction=False, batch_size=1)
     learned_space, settings = spaces.Discrete(len(GRID)), HiroFinite.Settings(window=4)
-    exact = HracFinite(learned_space, spaces.Discrete(4), 0, settings, HERE,
-                 count_primitives_between)
+    exact = HracFinite(learned_space, spaces.Discrete(4), 0, settings, HERE, count_primitives_between)
     assert learned_space.n == len(CELLS) and exact.privileges == ("goals", "adjacency")
     share = []
     for cell, point in enumerate(CELLS):
