@@ -529,7 +529,7 @@ def count_choices(action_space: gymnasium.Space, agent: str) -> int:
     return 0 if isinstance(action_space, gymnasium.spaces.Box) else count_actions(action_space, agent)
 
 
-def _find_form(action_space: gymnasium.spaces.Discrete | gymnasium.spaces.Box) -> int | tuple[int, ...]:
+def _find_form(action_space: Any) -> int | tuple[int, ...]:
     """Number of actions of a Discrete space, or shape of a Box."""
     return action_space.shape if isinstance(action_space, gymnasium.spaces.Box) else int(action_space.n)
 

@@ -18,7 +18,7 @@ def name_action(names: Sequence[str], action: Any) -> str:
     """Return the name of an action, `velocities` with their values for one of a Box."""
     if isinstance(action, np.ndarray):
         return f"velocities {', '.join(f'{rate:.2f}' for rate in action.reshape(-1))}"
-    return names[action]
+    return names[int(action)]
 
 
 class SMDPTransition(NamedTuple):

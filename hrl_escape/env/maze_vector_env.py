@@ -100,7 +100,7 @@ class PointMazeVectorEnv(VectorEnv):
 
     def _observe(self) -> dict[str, Any]:
         parts = {"observation": self._point, "achieved_goal": self._point, "desired_goal": self._goal}
-        return {name: self._give(parts[name].float().clone()) for name in self.single_observation_space}
+        return {name: self._give(parts[name].float().clone()) for name in sorted(parts)}
 
     def _give(self, tensor: Tensor) -> Any:
         return tensor.cpu().numpy() if self._is_numpy else tensor

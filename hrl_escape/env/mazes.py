@@ -120,7 +120,7 @@ class Maze:
                 spaces.Box(-1.0, 1.0, (2,), np.float32))
 
 
-class PointMazeEnv(gymnasium.Env[dict[str, NDArray[np.float32]], NDArray[np.float32]], EzPickle):
+class PointMazeEnv(gymnasium.Env, EzPickle):
     """Reach a goal in a maze, with velocities as actions.
 
     ## Action space

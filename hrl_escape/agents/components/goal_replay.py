@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.spaces.utils import flatdim
 
 from hrl_escape.agents.agent import GoalRule
 from hrl_escape.agents.components.arrays import Arrays
@@ -70,7 +71,7 @@ class GoalReplay(Stateful):
                 "compute_terminated, as in Gymnasium-Robotics")
         self._arrays, self._encoder, self._rule, self._share = arrays, encoder, rule, goals / (goals + 1)
         self._scale, self._length = scale, max(2, capacity // num_envs)
-        size = int(np.prod(encoder.space["achieved_goal"].shape))
+        size = flatdim(encoder.space["achieved_goal"])
         place = self._length * num_envs
         zeros = lambda *shape: torch.zeros((place, *shape), device=arrays.device)  # noqa: E731
         self._rows = {"observation": zeros(*encoder.shape), "action": zeros(actions), "discount": zeros(),

@@ -152,9 +152,10 @@ class VectorManyEnvs:
         elif isinstance(values, Tensor):
             new = values[rows]
         else:
-            one = self.observation_space
-            new = torch.from_numpy(np.stack([flatten(one, values[row]) if isinstance(one, gymnasium.spaces.Dict)
-                                             else np.asarray(values[row]) for row in rows.tolist()]))
+            one, found = self.observation_space, [values[row] for row in rows.tolist()]
+            has_parts = isinstance(one, gymnasium.spaces.Dict)
+            new = torch.from_numpy(np.stack([
+                np.asarray(flatten(one, each) if has_parts else each) for each in found]))
         return batch.index_copy(0, rows, new.to(self.device, batch.dtype))
 
     def _read(self, infos: Mapping[str, Any], name: str) -> tuple[Tensor, Tensor] | None:

@@ -195,7 +195,7 @@ class Hac(BatchAgent):
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HacSettings | None = None) -> None:
-        self.settings = settings = settings or self.Settings()
+        self.settings = settings = settings or HacSettings()
         self.box = BoxActions(action_space, self.name)
         if not is_goal_space(observation_space):
             raise UnsupportedSpaceError(f"{self.name} pursues the goal of the environment: it needs observations in a "

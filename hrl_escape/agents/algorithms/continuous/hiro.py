@@ -137,7 +137,8 @@ class Hiro(BatchAgent):
         worker_replay: decisions of the worker.
     """
 
-    settings: HiroSettings
+    settings: Any
+    Settings = HiroSettings
     acts_in = ("box",)
     is_markov = False
     privileges = ("goal space",)
@@ -146,7 +147,8 @@ class Hiro(BatchAgent):
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None) -> None:
-        self.settings = settings = settings or self.Settings()
+        made: Any = settings or self.Settings()
+        self.settings = settings = made
         self.box = BoxActions(action_space, self.name)
         self.goals = goals = GoalReader(observation_space, settings.goal_columns, settings.goal_range,
                                         settings.scale_observations, self.name)
@@ -212,7 +214,7 @@ class Hiro(BatchAgent):
     def _explore(self, level: TwinDelayed, seen: Tensor, noise: float) -> Tensor:
         """Points of a level's actor with noise; random points during the warm-up."""
         if not self._schedule.is_warm:
-            return 2 * self._arrays.draw_uniform(len(seen), len(level.actor[-1].bias)) - 1
+            return 2 * self._arrays.draw_uniform(len(seen), level.size) - 1
         points = level.evaluate(seen)
         return (points + noise * self._arrays.draw_normal(*points.shape)).clamp(-1, 1)
 

@@ -59,7 +59,7 @@ class Hrac(Hiro):
         AgentSettingsError: the goal space is unbounded, or has more than `MOST_ADJACENCY_CELLS` cells.
     """
 
-    settings: HracSettings
+    Settings = HracSettings
     STATE = ("_adjacency_learner", Kept("is_adjacent", "adjacent"), Kept("is_visited", "visited"))
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,

@@ -96,7 +96,7 @@ class TwinDelayed(Stateful):
     STATE = ("actor_learner", "critic_learner", "_noise")
 
     def __init__(self, name: str, make: Callable[[int, int], Network], actions: int, settings: Any, seed: int) -> None:
-        self.settings = settings
+        self.settings, self.size = settings, actions
         self.actor, self.target_actor = make(actions, 0), make(actions, 0).requires_grad_(False)
         self.critics = [make(1, actions) for _ in range(2)]
         self.target_critics = [make(1, actions).requires_grad_(False) for _ in range(2)]
