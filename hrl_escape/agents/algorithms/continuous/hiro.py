@@ -147,8 +147,8 @@ class Hiro(BatchAgent):
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HiroSettings | None = None) -> None:
-        made: Any = settings or self.Settings()
-        self.settings = settings = made
+        chosen: HiroSettings = settings or self.Settings()
+        self.settings = settings = chosen
         self.box = BoxActions(action_space, self.name)
         self.goals = goals = GoalReader(observation_space, settings.goal_columns, settings.goal_range,
                                         settings.scale_observations, self.name)

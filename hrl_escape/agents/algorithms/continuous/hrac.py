@@ -65,7 +65,8 @@ class Hrac(Hiro):
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: HracSettings | None = None) -> None:
         super().__init__(observation_space, action_space, seed, settings)
-        settings, goals = self.settings, self.goals
+        chosen: HracSettings = self.settings
+        settings, goals = chosen, self.goals
         cells = settings.adjacency_bins**goals.size
         if not bool(torch.isfinite(goals.high - goals.low).all()) or cells > MOST_ADJACENCY_CELLS:
             raise AgentSettingsError("adjacency_bins", settings.adjacency_bins, "at most "
