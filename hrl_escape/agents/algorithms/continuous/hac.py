@@ -83,7 +83,7 @@ class HacSettings(AgentSettings):
     """Transitions of each level kept for replay."""
 
 
-class Level(Stateful):
+class HacLevel(Stateful):
     """Actor and critic of a level: DDPG without target networks, with a critic between -H and 0.
 
     Args:
@@ -203,7 +203,7 @@ class Hac(BatchAgent):
         self.goals = goals = GoalReader(observation_space, (), (), settings.scale_observations, self.name)
         self._goal_box = BoxActions(gymnasium.spaces.Box(goals.low.numpy(), goals.high.numpy()), self.name)
         generator = make_generator(make_rng(seed, "weights"))
-        self.levels = [Level(f"{self.name} level {level}", goals, goals.size if level else self.box.size, settings,
+        self.levels = [HacLevel(f"{self.name} level {level}", goals, goals.size if level else self.box.size, settings,
                              generator) for level in range(settings.levels)]
         self._schedule, self._seed = UpdateSchedule(settings.warmup, settings.updates_per_step), seed
         self.shown: tuple[RunningCall, ...] = ()
