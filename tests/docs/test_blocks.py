@@ -51,7 +51,8 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 @pytest.mark.nightly_for(
     "docs/hierarchies.md", "docs/agents/offline.md", "docs/data.md", "docs/ladder.md", "docs/agents/index.md",
     "docs/viewer.md", "docs/agents/fun.md", "docs/agents/hrac-finite.md", "docs/agents/torchrl-dqn.md",
-    "docs/agents/torchrl-ppo.md", "docs/agents/torchrl-sac.md")
+    "docs/agents/torchrl-ppo.md", "docs/agents/torchrl-sac.md", "docs/agents/td3.md", "docs/agents/hrac.md",
+    "docs/agents/sac.md")
 @pytest.mark.parametrize("page", pages_with("console"), ids=name_page)
 def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.chdir(tmp_path)

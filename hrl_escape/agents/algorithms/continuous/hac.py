@@ -204,7 +204,7 @@ class Hac(BatchAgent):
         self._goal_box = BoxActions(gymnasium.spaces.Box(goals.low.numpy(), goals.high.numpy()), self.name)
         generator = make_generator(make_rng(seed, "weights"))
         self.levels = [HacLevel(f"{self.name} level {level}", goals, goals.size if level else self.box.size, settings,
-                             generator) for level in range(settings.levels)]
+                                generator) for level in range(settings.levels)]
         self._schedule, self._seed = UpdateSchedule(settings.warmup, settings.updates_per_step), seed
         self.shown: tuple[RunningCall, ...] = ()
         self._prepare(1, None)

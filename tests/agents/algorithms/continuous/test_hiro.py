@@ -141,7 +141,7 @@ def test_adjacent_points_are_those_of_one_window_and_the_penalty_begins_at_the_r
     losses = []
     for one, other in zip(first.tolist(), second.tolist(), strict=True):
         points = [agent.psi(agent.find_centres(torch.tensor([cell])))[0] for cell in (one, other)]
-        distance = float((points[0] - points[1]).norm())
+        distance = float((points[0] - points[1]).norm().detach())
         losses.append(max(distance - 1, 0) if (one, other) in expected else max(1.2 - distance, 0))
     assert agent.compute_adjacency_loss(first, second).item() == pytest.approx(np.mean(losses), abs=1e-4)
     penalise = agent.find_penalty(agent.manager_replay.sample(8))
