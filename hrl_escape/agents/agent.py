@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from hrl_escape.agents.decisions import AgentPolicy, Policy, SMDPTransition, read_action
+from hrl_escape.agents.decisions import AgentPolicy, Policy, SMDPTransition, to_plain_action
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError, UnsupportedSpaceError
 from hrl_escape.settings import Range, Settings
@@ -458,7 +458,7 @@ def make_transition(observation: Any, action: Any, action_mask: NDArray[np.bool_
     duration = paid.duration
     option = read_option(info)
     cut = truncated and not terminated and (duration > 1 if option is None else option["ended"] == "episode-over")
-    return SMDPTransition(observation, read_action(action), action_mask, paid.compute_discounted(gamma), paid.summed,
+    return SMDPTransition(observation, to_plain_action(action), action_mask, paid.compute_discounted(gamma), paid.summed,
                           duration, gamma**duration, next_observation, read_action_mask(info, len(action_mask)),
                           bool(terminated), bool(truncated), read_trace(info, duration), bool(cut))
 

@@ -84,7 +84,7 @@ class Decisions(NamedTuple):
 _ONLY = np.zeros(1, np.int64)
 
 
-def read_action(action: Any) -> Any:
+def to_plain_action(action: Any) -> Any:
     """Return an action as an int, or as a float32 array if it has components."""
     return np.asarray(action, np.float32) if np.ndim(action) else int(action)
 
@@ -106,7 +106,7 @@ def make_decision(one: SMDPTransition) -> Decisions:
 def read_decision(batch: Decisions) -> SMDPTransition:
     """Return the decision of a batch of one environment, with Python numbers; rewards are rounded to float32."""
     return SMDPTransition(
-        batch.observation[0], read_action(batch.action[0]), batch.action_mask[0], float(batch.reward[0]),
+        batch.observation[0], to_plain_action(batch.action[0]), batch.action_mask[0], float(batch.reward[0]),
         float(batch.summed_reward[0]), int(batch.duration[0]), float(batch.discount[0]), batch.next_observation[0],
         batch.next_action_mask[0], bool(batch.terminated[0]), bool(batch.truncated[0]), *batch.trace)
 
@@ -136,7 +136,7 @@ class Policy(ABC):
 
     def choose(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
         """Choose in one environment; the mask is bool (actions,)."""
-        return read_action(self.act(make_moment(observation, action_mask))[0])
+        return to_plain_action(self.act(make_moment(observation, action_mask))[0])
 
 
 class AgentPolicy(Policy):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition
 from hrl_escape.agents.batch_agent import BatchAgent
-from hrl_escape.agents.decisions import Decisions, Moments, make_decision, make_moment, read_action
+from hrl_escape.agents.decisions import Decisions, Moments, make_decision, make_moment, to_plain_action
 from hrl_escape.agents.state import Kept, StateTree, list_kept
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class _OneOfBatch:
         self._learner = learner
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
-        return read_action(self._learner.act(make_moment(observation, action_mask))[0])
+        return to_plain_action(self._learner.act(make_moment(observation, action_mask))[0])
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         return self._learner.observe(make_decision(transition))

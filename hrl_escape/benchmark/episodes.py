@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import gymnasium
 
-from hrl_escape.agents.decisions import read_action
+from hrl_escape.agents.decisions import to_plain_action
 from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.rewards import Events
@@ -82,7 +82,7 @@ class StateRecorder(gymnasium.Wrapper):
             self._progress = max(self._progress, self._measure_progress())
         self._progress = 1.0 if info["is_success"] else self._progress
         if self.on_step is not None and before is not None:
-            self.on_step(PrimitiveStep(before, read_action(action), self.states[-1], float(reward),
+            self.on_step(PrimitiveStep(before, to_plain_action(action), self.states[-1], float(reward),
                                        self.events[-1],
                                        EpisodeEnd.of_step(bool(info["is_success"]), terminated, truncated)))
         return observation, reward, terminated, truncated, {**info, "progress": self._progress}

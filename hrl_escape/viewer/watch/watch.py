@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition, set_option_discount
-from hrl_escape.agents.decisions import Moments, Policy, name_action, read_action
+from hrl_escape.agents.decisions import Moments, Policy, name_action, to_plain_action
 from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
@@ -245,7 +245,7 @@ class Watch:
             shown, meaning = agent.compute_preferences(observation), "preference"
         values, meaning = (None, "") if shown is None else (np.array(shown), meaning)
         notes = agent.describe_presses() if isinstance(agent, SearchBaseline) else {}
-        return ObservedChoice(read_action(action), mask.copy(), values, "note" if notes else meaning, state_value,
+        return ObservedChoice(to_plain_action(action), mask.copy(), values, "note" if notes else meaning, state_value,
                               self.states[-1], notes)
 
     def read_graph(self) -> frozenset[tuple[int, int]] | None:
