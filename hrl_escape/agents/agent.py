@@ -458,9 +458,10 @@ def make_transition(observation: Any, action: Any, action_mask: NDArray[np.bool_
     duration = paid.duration
     option = read_option(info)
     cut = truncated and not terminated and (duration > 1 if option is None else option["ended"] == "episode-over")
-    return SMDPTransition(observation, to_plain_action(action), action_mask, paid.compute_discounted(gamma),
-                          paid.summed, duration, gamma**duration, next_observation, read_action_mask(info, len(action_mask)),
-                          bool(terminated), bool(truncated), read_trace(info, duration), bool(cut))
+    return SMDPTransition(
+        observation, to_plain_action(action), action_mask, paid.compute_discounted(gamma), paid.summed, duration,
+        gamma**duration, next_observation, read_action_mask(info, len(action_mask)), bool(terminated), bool(truncated),
+        read_trace(info, duration), bool(cut))
 
 
 def set_option_discount(env: Any, gamma: float) -> None:
