@@ -33,16 +33,21 @@ RECOMMENDED = (
         "baseline holds in fresh rooms.",
     ),
     Recommendation(
-        "to compare with", "search-backtrack", "search baseline",
+        "to compare with in one room", "search-memory", "search baseline with memory",
+        "It remembers earlier episodes in the room, as learners do. With four to fifteen buttons it escapes sooner "
+        "than a learner of structure over planned options.",
+    ),
+    Recommendation(
+        "to compare with in unseen rooms", "search-backtrack", "search baseline",
         "The most efficient of three search baselines, or level with it, in each of the seven kinds of rooms. It "
         "forgets earlier episodes.",
     ),
 )
-"""Agents for one room and for unseen rooms, and the search baseline to compare them with."""
+"""Agents for one room and for unseen rooms, and the search baselines to compare them with."""
 
 
 def format_answer() -> str:
     """The answer as one line of Markdown, which the README and the pages on agents quote."""
-    room, unseen, baseline = (f"`{choice.label}`" for choice in RECOMMENDED)
-    return (f"In one room start with {room}. For unseen rooms start with {unseen}. Compare both with the search "
-            f"baseline {baseline}.")
+    room, unseen, remembering, forgetting = (f"`{choice.label}`" for choice in RECOMMENDED)
+    return (f"In one room start with {room}, and compare it with the search baseline {remembering}. For unseen rooms "
+            f"start with {unseen}, and compare it with {forgetting}.")
