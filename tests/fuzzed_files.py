@@ -17,6 +17,7 @@ from hrl_escape.agents.training.archive import pack_run, unpack_run
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.benchmark.conversion import convert_file
 from hrl_escape.benchmark.grid import load_grid
+from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.run_results import read_episodes
 from hrl_escape.data import load_data
 from hrl_escape.data.convert import convert_data
@@ -152,6 +153,11 @@ def play_game(number: int) -> Game:
     return record_game(session)
 
 
+@cache
+def play_oracle(number: int) -> dict[str, Any]:
+    return record_episode("oracle", EscapeRoomEnv(instance=get_room(number))).to_json()
+
+
 def read_games(path: Path) -> None:
     RecordedModel(path)
     for game in load_games(path):
@@ -219,7 +225,8 @@ KINDS: dict[str, FileKind] = {
                            change_checkpoint),
     "archive": FileKind("x.zip", lambda path, chance: pack(path),
                         lambda path: unpack_run(path, path.parent / "out")),
-    "episodes": FileKind("episodes.json", write("[]"), read_summaries, change_json),
+    "episodes": FileKind("episodes.json", lambda path, chance: path.write_text(
+        json.dumps([play_oracle(chance.choice((0, 2, 5)))])), read_summaries, change_json),
     "map": FileKind("m.yaml", write_map, lambda path: World.read(path, RobotConfig(), (4.0, 4.0, 0.0)), change_json),
     "picture": FileKind("m.png", lambda path, chance: write_map(path.with_name("m.yaml"), chance),
                         lambda path: World.read(path.with_name("m.yaml"), RobotConfig(), (4.0, 4.0, 0.0))),

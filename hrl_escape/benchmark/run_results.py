@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.agents.training.results import TrainResult
+from hrl_escape.benchmark.episode_record import check_episodes
 from hrl_escape.benchmark.grid import GridRun
 from hrl_escape.benchmark.score_range import ScoreRange
 from hrl_escape.benchmark.statistics import compute_efficiency, compute_final, compute_mean_efficiency
@@ -170,9 +171,15 @@ def read_episodes(out: Path, run: GridRun) -> list[dict[str, Any]]:
     """Read the recorded episodes of a finished run, see `record_episode`.
 
     Raises:
-        FileReadError: they are missing.
+        FileReadError: they are missing or damaged.
     """
-    return read_json(get_run_folder(out, run) / "episodes.json", "record of episodes")
+    path = get_run_folder(out, run) / "episodes.json"
+    try:
+        return check_episodes(read_json(path, "record of episodes"))
+    except FileReadError:
+        raise
+    except EscapeError as error:
+        raise FileReadError(f"{path}: this record of episodes is damaged ({describe_damage(error)})") from error
 
 
 def list_versions() -> dict[str, str]:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
+import re
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -14,14 +17,17 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
 from hrl_escape.benchmark.recording import record_episode
+from hrl_escape.benchmark.run_results import get_run_folder, read_episodes
 from hrl_escape.env.pictures.moving_map import make_frames
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import UnknownNameError, UnsupportedError
+from hrl_escape.errors import FileReadError, UnknownNameError, UnsupportedError
+from hrl_escape.files import write_json
 from hrl_escape.options import OptionsEnv
-from tests.benchmark.small import SCHEMATIC
+from hrl_escape.sets.places import RunPlace
+from tests.benchmark.small import SCHEMATIC, SMALL
 
 
 def record(name: str, seed: int = 3):
@@ -149,3 +155,34 @@ def test_progress_in_a_board_that_must_go_dark_counts_lights_that_are_off():
     assert env.reset(seed=0)[1]["progress"] == 0.5
     assert env.step(0)[4]["progress"] == 9 / 16, "two lights go off and one goes on"
     assert env.step(0)[4]["progress"] == 9 / 16, "back again, and the best so far counts"
+
+
+FORGED = {
+    "decisions": ([["press", -1, "reached"]], "decisions[0][1]"),
+    "success": ("<b>", "success"),
+    "return": ("-12", "return"),
+    "primitives": (10**9, "frames.x"),
+    "frames": ({}, "frames"),
+    "lit": ([[0, []], [10**6, [0]]], "frames.lit"),
+    "heading": (["0"], "frames.heading[0]"),
+    "arm": ([[]], "frames.arm"),
+}
+"""Values of a record that are not valid, and what the message names."""
+
+
+def test_a_record_of_episodes_is_read_as_written_and_a_forged_one_refused(tmp_path: Path):
+    run = SMALL.make_runs([RunPlace.of_room(generate(SCHEMATIC, 0))])[0]
+    path = get_run_folder(tmp_path, run) / "episodes.json"
+    path.parent.mkdir(parents=True)
+    episode = json.loads(json.dumps(record("random-options")[3]))
+    write_json(path, [episode])
+    assert read_episodes(tmp_path, run) == [episode]
+    for name, (value, place) in FORGED.items():
+        frames = {**episode["frames"], name: value} if name in episode["frames"] else episode["frames"]
+        write_json(path, [episode, {**episode, "frames": frames} | ({} if name in frames else {name: value})])
+        with pytest.raises(FileReadError, match=re.escape(f"episodes[1].{place}")):
+            read_episodes(tmp_path, run)
+    for value in ({}, [[]], [{**episode, "more": 1}], [{}]):
+        write_json(path, value)
+        with pytest.raises(FileReadError, match="damaged"):
+            read_episodes(tmp_path, run)
