@@ -7,6 +7,7 @@ WATCH  ?= hrl-escape watch --room clutter#3
 JOBS   ?= 2
 SHARD  ?= 1/1
 MARKS  ?= nightly
+PACKAGES ?= agents planning benchmark data text
 
 VENV  := .venv
 STAMP := $(VENV)/.installed
@@ -37,8 +38,9 @@ test: $(STAMP) ## the fast tests, five to six minutes on two idle cores
 test-nightly: $(STAMP) ## all others, planted bugs among them, about an hour; a tenth of them: make test-nightly SHARD=1/10
 	python -m pytest tests -n $(JOBS) --dist worksteal -m "$(MARKS)" --shard $(SHARD)
 
-mutants: $(STAMP) ## 20 small bugs in each of five packages, drawn by the date; some hours (extra `mutants`)
-	python -m benchmarks.mutants --packages agents planning benchmark data text --count 20
+mutants: $(STAMP) ## 20 small bugs in each of five packages, drawn by the date; some hours; one: PACKAGES=data
+	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[mutants]'
+	python -m benchmarks.mutants --packages $(PACKAGES) --count 20
 
 docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -j $(JOBS) -W --keep-going -q docs build/docs

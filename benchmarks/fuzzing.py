@@ -15,7 +15,6 @@ import random
 import select
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -29,6 +28,7 @@ from typing import Any
 import gymnasium
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
+from hrl_escape.cli import main as main_of_cli
 from hrl_escape.errors import EscapeError
 from tests.fuzzed_files import KINDS, FileKind, change_file
 from tests.fuzzing import make_calls, run_call
@@ -153,34 +153,51 @@ def run_apart(run: Callable[[int, int], Iterator[str]], first: int, count: int) 
 
 
 def run_commands(first: int, count: int) -> Iterator[tuple[str, int]]:
-    """Run command lines in processes of their own; yields how each ends and its memory, bytes."""
+    """Run command lines in forks, which have the libraries already; yields how each ends and its memory, bytes."""
     for number in range(first, first + count):
-        chance = random.Random(number)
         with tempfile.TemporaryDirectory() as place:
-            folder = Path(place)
-            path = change_file(KINDS[chance.choice(list(KINDS))], folder / "file", chance)
-            fields = {"folder": place, "path": str(path), "word": chance.choice(WORDS), "agent": chance.choice(AGENTS),
-                      "goal": chance.choice(WORDS), "room": chance.choice(ROOMS).replace("{path}", str(path))}
-            words = [word.format(**fields) for word in chance.choice(COMMANDS).split(" ")]
-            with open(folder / "stderr", "w+b") as error:
-                process = subprocess.Popen([sys.executable, "-m", "hrl_escape.cli", *words], cwd=place,
-                                           stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=error)
-                end = "accepted"
-                deadline = time.monotonic() + WAIT
-                while (found := os.wait4(process.pid, os.WNOHANG))[0] == 0:
-                    if time.monotonic() > deadline:
-                        process.kill()
-                        end, found = "SLOW", os.wait4(process.pid, 0)
-                        break
-                    time.sleep(0.05)
-                process.returncode = code = os.waitstatus_to_exitcode(found[1])
-                error.seek(0)
-                said = error.read().decode(errors="replace")
+            child = os.fork()
+            if child == 0:
+                os.setsid()
+                _run_command(number, Path(place))
+            end, deadline = "accepted", time.monotonic() + WAIT
+            while (found := os.wait4(child, os.WNOHANG))[0] == 0:
+                if time.monotonic() > deadline:
+                    os.killpg(child, signal.SIGKILL)
+                    end, found = "SLOW", os.wait4(child, 0)
+                    break
+                time.sleep(0.05)
+            code = os.waitstatus_to_exitcode(found[1])
+            shown, said = ((Path(place) / name).read_text(errors="replace") for name in ("shown", "stderr"))
             if end != "SLOW":
                 end = "RAW" if "Traceback" in said else "DIED" if code < 0 else "accepted" if code == 0 else "refused"
-            shown = " ".join(word[:80] for word in words)
             end = end if end.islower() else f"{end} command {number}: {shown}\n{said[-1500:]}"
             yield end, found[2].ru_maxrss * 1024
+
+
+def _run_command(number: int, folder: Path) -> None:
+    """Draw a command line, run it in this process with its files in a folder, and end the process."""
+    code: Any = 1
+    try:
+        for stream, (name, mode) in enumerate(((os.devnull, "r"), (os.devnull, "w"), (folder / "stderr", "w"))):
+            with open(name, mode) as file:
+                os.dup2(file.fileno(), stream)
+        chance = random.Random(number)
+        path = change_file(KINDS[chance.choice(list(KINDS))], folder / "file", chance)
+        fields = {"folder": str(folder), "path": str(path), "word": chance.choice(WORDS),
+                  "agent": chance.choice(AGENTS), "goal": chance.choice(WORDS),
+                  "room": chance.choice(ROOMS).replace("{path}", str(path))}
+        words = [word.format(**fields) for word in chance.choice(COMMANDS).split(" ")]
+        (folder / "shown").write_text(" ".join(word[:80] for word in words))
+        os.chdir(folder)
+        code = main_of_cli(words)
+    except SystemExit as ending:
+        code = ending.code
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stderr.flush()
+        os._exit(code if isinstance(code, int) else 1 if code else 0)
 
 
 def main() -> int:

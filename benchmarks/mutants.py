@@ -140,11 +140,20 @@ def find_tests(file: str) -> list[str]:
 
 
 def draw(files: Iterable[str], seed: int) -> Iterator[Place]:
-    """Mutants of files that have tests, one of each place, in an order of its own for each seed."""
-    places = [place for file in files if find_tests(file) for place in list_places(file)]
+    """Mutants of files that have tests, one of each place, in an order of its own for each seed.
+
+    A file is drawn in proportion to its size, so that only files that are drawn are searched for places.
+    """
     rng = random.Random(seed)
-    for mutants in rng.sample(places, len(places)):
-        yield random.Random(f"{seed} {mutants[0]}").choice(mutants)
+    sizes = {file: (PACKAGE / file).stat().st_size for file in files}
+    places: dict[str, list[list[Place]]] = {}
+    while sizes := {file: size for file, size in sizes.items() if size and places.get(file) != []}:
+        (file,) = rng.choices(list(sizes), list(sizes.values()))
+        if file not in places:
+            places[file] = list_places(file) if find_tests(file) else []
+            rng.shuffle(places[file])
+        if places[file]:
+            yield rng.choice(places[file].pop())
 
 
 class Trial:
