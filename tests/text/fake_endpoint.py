@@ -24,6 +24,7 @@ class FakeEndpoint:
         keys: `Authorization` headers.
         answered: replies with status 200 whose usage counts.
         stolen: headers of requests that followed a redirect.
+        usage: tokens that a good answer claims; by default 1,000 read and 10 written.
     """
 
     def __init__(self, faults: Callable[[int], str]) -> None:
@@ -32,6 +33,7 @@ class FakeEndpoint:
         self.keys: list[str | None] = []
         self.stolen: list[str | None] = []
         self.answered = 0
+        self.usage: dict[str, Any] = {"prompt_tokens": 1000, "completion_tokens": 10}
         self.lock = threading.Lock()
 
 
@@ -74,7 +76,7 @@ def run_endpoint(faults: Callable[[int], str] | Sequence[str] = ()) -> Iterator[
             self.wfile.write(content)
 
         def answer(self, body: Any, fault: str) -> None:
-            good = make_answer(body)
+            good = make_answer(body, endpoint.usage)
             content = json.dumps(good).encode()
             if fault == "busy":
                 self.send(429, b"slow down", Retry_After="0")
@@ -138,15 +140,15 @@ def run_endpoint(faults: Callable[[int], str] | Sequence[str] = ()) -> Iterator[
         server.server_close()
 
 
-def make_answer(body: Any) -> dict[str, Any]:
-    """Completion of a model that takes the options in turn; 1,000 tokens read and 10 written."""
+def make_answer(body: Any, usage: dict[str, Any]) -> dict[str, Any]:
+    """Completion of a model that takes the options in turn, and the tokens that it claims."""
     functions = {tool["function"]["name"]: tool["function"]["parameters"] for tool in body["tools"]}
     options = functions["run_option"]["properties"]["option"]["enum"]
     turns = sum(message["role"] == "tool" for message in body["messages"])
     call = {"id": "a", "type": "function", "function": {
         "name": "run_option", "arguments": json.dumps({"option": options[turns % len(options)]})}}
     return {"choices": [{"message": {"role": "assistant", "content": None, "tool_calls": [call]}}],
-            "usage": {"prompt_tokens": 1000, "completion_tokens": 10}}
+            "usage": usage}
 
 
 FAULTS = ("busy", "broken", "silent", "trickle", "trickling head", "cut", "garbage", "nested", "endless", "empty",
