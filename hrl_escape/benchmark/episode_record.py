@@ -27,7 +27,7 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class EpisodeRecord:
+class ReplayRecord:
     """Form of `RecordedEpisode.to_json`, without `return`, which is no name of a field in Python."""
 
     primitives: Count
@@ -58,7 +58,7 @@ def _check(path: str, episode: Any) -> None:
         raise ConfigError(path, episode, "a table with the field 'return'")
     read_argument(float, f"{path}.return", episode["return"])
     rest = {name: each for name, each in episode.items() if name != "return"}
-    record = read_record(EpisodeRecord, rest, path)
+    record = read_record(ReplayRecord, rest, path)
     frames, states = record.frames, record.primitives + 1
     for name in ("x", "y", "heading", "arm", "props"):
         count = len(getattr(frames, name))
