@@ -129,8 +129,8 @@ class SourceLocator(UserProvidedCacheLocator):
 
 
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    before = _CONFIG.CACHE_DIR, getattr(_CONFIG, "CACHE_LOCATOR_CLASSES", "")
-    try:  # only the decorator reads both; numba before 0.62 supports one locator
+    before = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
+    try:  # only the decorator reads both
         folder = _FOLDER_WITHOUT_BASES if function.__module__ in _MODULES_WITHOUT_BASES else _FOLDER
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{SourceLocator.__name__}"
         compiled = numba.njit(cache=True, **options)(function)

@@ -25,8 +25,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array  # pyright: ignore[reportMissingTypeStubs]
-from scipy.sparse.csgraph import maximum_bipartite_matching  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import Puzzle
@@ -131,6 +129,9 @@ def _sort_parts(places: NDArray[np.float64], parts: list[NDArray[np.intp]]) -> N
 
 def _is_paired(first: NDArray[np.float64], second: NDArray[np.float64], parts: list[NDArray[np.intp]]) -> bool:
     """Return whether points of each name can be paired one to one within the margin."""
+    from scipy.sparse import csr_array  # pyright: ignore[reportMissingTypeStubs]  # takes a third of a second to load
+    from scipy.sparse.csgraph import maximum_bipartite_matching  # pyright: ignore[reportMissingTypeStubs]
+
     for part in parts:
         gaps = np.linalg.norm(first[part][:, None] - second[part][None], axis=2)
         if (maximum_bipartite_matching(csr_array(gaps <= ALIKE_WITHIN), perm_type="column") < 0).any():

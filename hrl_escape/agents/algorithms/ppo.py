@@ -203,8 +203,8 @@ class PPO(BatchAgent):
             targets = advantages + values
         size = max(settings.batch_size, len(values) * settings.batch_size // settings.rollout)
         metrics = self._learner.minimise_each(
-            self.compute_loss(seen, rollout.mask[rows], rollout.action[rows], rollout.log_probability[rows],
-                              advantages[rows], targets[rows])
+            self.compute_loss(seen, *(field.index_select(0, rows) for field in (
+                rollout.mask, rollout.action, rollout.log_probability, advantages, targets)))
             for rows, seen in memory.draw_batches(rollout, size, self._batch_rng, settings.epochs)
             if len(rows) > 1)  # one advantage cannot be normalised
         return metrics | {"gradient_norm": self._learner.gradient_norm,

@@ -69,15 +69,19 @@ class Arrays(Stateful):
     def draw_choices(self, probabilities: Any) -> Any:
         """Draw an index from each row of probabilities, int64 (n,) from (n, choices).
 
-        An index of probability 0 is never drawn. Implemented as the minimum of exponential clocks.
+        An index of probability 0 is never drawn. Tensors invert the cumulative distribution, with a number a row;
+        NumPy takes the minimum of exponential clocks.
         """
         if self.library is np and len(probabilities) == 1:
             return np.array([sample_index(probabilities[0], self._generator)])
         if self.library is np:
             waits = self._generator.standard_exponential(probabilities.shape)
             return (probabilities / np.maximum(waits, 1e-30)).argmax(1)
-        waits = torch.empty_like(probabilities).exponential_(generator=self._generator).clamp_(min=1e-30)
-        return (probabilities / waits).argmax(1)
+        sums = probabilities.t().contiguous().cumsum(0)  # column by column, a fifth of the time of row by row
+        total = sums[-1]
+        drawn = total * torch.rand(len(total), generator=self._generator, device=self.device, dtype=total.dtype)
+        drawn = torch.minimum(drawn, total.nextafter(torch.zeros_like(total)))  # the product may round up
+        return (sums <= drawn).sum(0)
 
     def join(self, parts: Sequence[Any]) -> torch.Tensor:
         """Concatenate arrays, as a tensor on the device."""

@@ -22,7 +22,6 @@ from typing import NamedTuple
 import numpy as np
 import ruckig
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
@@ -428,6 +427,8 @@ def _list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:
     times = np.concatenate([*parts, np.zeros(0)])
     if not len(times):
         return [], []
+    from scipy.interpolate import CubicHermiteSpline  # takes half a second to load
+
     places = CubicHermiteSpline(*motion)(times)
     places[-1] = motion.positions[-1]
     return times.tolist(), places.tolist()

@@ -9,12 +9,11 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.instance import RoomInstance
@@ -29,6 +28,9 @@ from hrl_escape.planning.motion.legs import Contact, Grip, Press, time_legs, tim
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 EFFORT_RATE = 100.0
 """Sampling rate of the efforts of joints, Hz."""
@@ -63,6 +65,8 @@ class TimedTrajectory:
 
     @cached_property
     def _spline(self) -> CubicHermiteSpline:
+        from scipy.interpolate import CubicHermiteSpline  # takes half a second to load
+
         return CubicHermiteSpline(self.times, self.positions, self.velocities)
 
     def evaluate(self, times: ArrayLike, order: int = 0) -> NDArray[np.float64]:
