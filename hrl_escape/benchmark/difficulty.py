@@ -131,10 +131,10 @@ def measure_difficulty(room: RoomInstance, episodes: int = 10, seed: int = 0) ->
     """
     scale = _find_scale(room, episodes, seed)
     known = scale is not None and scale.source != CEILING
-    results = [_run_baseline(name, room, scale if known else None, episodes, seed)
-               for name in (RANDOM_OPTIONS, SEARCH_NEAREST)]
-    return Difficulty(room, float(np.mean(scale.fewest)) if scale is not None and known else None, *results,
-                      solve_random_walk(room))
+    random_options, search = (_run_baseline(name, room, scale if known else None, episodes, seed)
+                              for name in (RANDOM_OPTIONS, SEARCH_NEAREST))
+    oracle = float(np.mean(scale.fewest)) if scale is not None and known else None
+    return Difficulty(room, oracle, random_options, search, solve_random_walk(room))
 
 
 def draw_difficulty(difficulty: Difficulty) -> Any:
@@ -215,7 +215,8 @@ def solve_random_walk(room: RoomInstance, most: int = MOST_WALK_STATES) -> Rando
     for _ in range(room.horizon):
         escaped += float(alive @ once)
         alive = alive @ walk
-    expected = linalg.spsolve(sparse.eye(states, format="csc") - walk.tocsc(), np.ones(states)) if _always_escapes(
+    expected: NDArray[np.float64] = linalg.spsolve(  # pyright: ignore[reportAssignmentType]
+        sparse.eye(states, format="csc") - walk.tocsc(), np.ones(states)) if _always_escapes(
         walk, once) else np.full(states, math.inf)
     return RandomWalk(float(np.mean(expected[starts])), escaped, states)
 
