@@ -52,6 +52,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError
 from hrl_escape.files import write_json
 from hrl_escape.planning.arm.srdf import read_srdf
+from hrl_escape.planning.fixed_arm import Arm
 from hrl_escape.planning.world import World
 from hrl_escape.sets.grammar import find_rooms
 from hrl_escape.sets.manifest import load_manifest
@@ -84,6 +85,8 @@ REVIEWED = {
     "benchmark/reporting/report.py::_read": "scripts of the package",
     "env/pictures/moving_map.py::make_moving_map": "scripts of the package",
     "env/pictures/video.py::_make_mp4": "a video that was just written, in a temporary folder",
+    "env/mesh_files.py::_read_by_assimp": "a copy of a file that a guarded reader has read",
+    "planning/arm/shapes.py::_load_hull": "source files of the package",
     "agents/training/archive.py::pack_parts": "an archive that is written",
     "agents/training/archive.py::read_parts": "members of an open archive, and new files in a new folder",
     "agents/training/checkpoint.py::_read_array": "members of an open archive",
@@ -91,14 +94,14 @@ REVIEWED = {
     "agents/training/train.py::train": "a run's folder, which reads through `run_folder.py`",
     "processes.py::taking_turns": "a folder that was just made",
     "env/urdf.py::_list_folders": "names in a folder",
-    "env/mesh_files.py::_load": "a mesh after `check_files`",
     "env/bullet/cameras.py": "a URDF that was just written, in a temporary folder",
     "env/bullet/physics.py": "a URDF that was just written, in a temporary folder",
     "planning/occupancy_grid.py::_read_image": "bytes that were read by `read_bytes`",
 }
 """Calls that open files by other means, and the reason. A file without a function stands for all of its functions."""
-OWN = ("benchmark/rung_references.py::load_references", "data/published.py::_read", "sets/manifest.py::_load_own")
-"""Functions that read tables of the package alone."""
+OWN = ("benchmark/rung_references.py::load_references", "data/published.py::_read", "sets/manifest.py::_load_own",
+       "planning/arm/shapes.py::_read_corners")
+"""Functions that read tables and caches of the package alone."""
 
 
 class Call(NamedTuple):
@@ -147,6 +150,7 @@ URDF = """<robot name="r"><link name="foot"/><link name="boom"><collision><geome
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
 SRDF = '<robot name="r"><disable_collisions link1="foot" link2="boom"/></robot>'
 MESH = "mtllib {folder}/m.mtl\nv 0 0 1\nv 1 0 1\nv 0 1 1\nv 0 0 0\nf 1 2 3\nf 1 2 4\nf 2 3 4\nf 1 3 4\n"
+SOLID = "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
 MAP = {"image": "m.png", "resolution": 0.5, "origin": [0, 0, 0], "negate": 0, "occupied_thresh": 0.65,
        "free_thresh": 0.196}
 
@@ -310,6 +314,9 @@ DOORS: dict[str, Door] = {
     "map": Door(("m.yaml", "m.png"), lambda f: (draw_map(f / "m.png"), write(m__yaml=json.dumps(MAP))(f)),
                 lambda f: World.read(f / "m.yaml", RobotConfig(), (4.0, 4.0, 0.0))),
     "mesh": Door(("m.obj", "m.mtl"), write(m__obj=MESH, m__mtl=""), lambda f: load_mesh(f / "m.obj")),
+    "mesh by assimp": Door(("m.stl",), write(m__stl=SOLID), lambda f: load_mesh(f / "m.stl")),
+    "arm": Door(("r.urdf", "m.obj", "package.xml"), make_urdf, lambda f: Arm.from_urdf(
+        f / "r.urdf", hand="boom", floor=-1.0).is_free([0.0])),
     "robot": Door(("r.urdf", "m.obj", "package.xml", "r.srdf"), make_urdf, make_arm),
 }
 

@@ -30,7 +30,7 @@ _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "
 
 GRIDS: dict[str, Grid] = {grid.name: grid for grid in (
     _make("demo", "Four buttons in a hidden order; a wrong press turns all of them off. Who learns the order?",
-          "random-options smdp-q-learning dqn smdp-dqn search-backtrack search-memory oracle",
+          "random-options smdp-q-learning dqn smdp-dqn search-memory oracle",
           "ladder-2/violations-2/train#0", runs=10, primitives=7_000, eval_every=1_000, eval_episodes=1),
     _make("quickstart", "Do options help in a room with two buttons, and does learning improve on them?",
           f"random dqn random-options+primitives smdp-q-learning+primitives smdp-dqn+primitives {_REFERENCES}",

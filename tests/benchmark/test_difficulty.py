@@ -67,7 +67,7 @@ def test_batched_rooms_escape_as_often_by_random_primitives():
 
 
 def test_difficulty_ranks_baselines_and_finds_a_short_horizon(capsys, tmp_path):
-    room = make_room("taxi")
+    room = dataclasses.replace(make_room("taxi"))
     assert "oracle" not in room._repr_svg_() and room.notes == ()
     found = room.difficulty()
     assert room.difficulty() is found and room.notes == found.lines

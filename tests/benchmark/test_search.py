@@ -413,7 +413,7 @@ def test_every_graph_of_five_in_a_chain_is_listed_where_marks_deceive_and_rules_
     baseline: Any = make_reference(BAYES, env, recorder)
     observation, info = env.reset(seed=0)
     baseline.act(observation, info["action_mask"] != 0)
-    assert baseline._posterior._graph is not None
+    assert baseline._posterior.graph is not None
     assert len(make_family(rooms.config.puzzle, 5).weights) == graphs
     env.close()
 

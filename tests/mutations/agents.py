@@ -90,7 +90,7 @@ MUTATIONS = [
              "agents/algorithms/test_deep_losses.py::"
              "test_trap_16_advantages_equal_the_sum_of_discounted_errors_with_lambda_as_named"),
     Mutation("evaluation draws from the agent's own generator", "agents/algorithms/random.py::RandomAgent.act_greedy",
-             "return sample_legal(action_mask, rng)", "return sample_legal(action_mask, self._rng)",
+             "return self._draw(action_mask, rng)", "return self._draw(action_mask, self._rng)",
              "agents/training/test_train.py::"
              "test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing[random]"),
     Mutation("evaluation episodes follow the training seed", "agents/training/run.py::Run._evaluate",

@@ -87,7 +87,7 @@ def test_cells_between_the_thresholds_are_kept_clear_of_unless_unknown_is_free(t
 
 @pytest.mark.parametrize(("changes", "match"), [
     ({"mode": "Foo"}, "`mode` must be one of"), ({"resolution": 0}, "`resolution`"), ({"resolution": ".nan"}, "finite"),
-    ({"resolution": "fine"}, "finite number, got fine"), ({"origin": "[0, 0]"}, "`origin` must be a list"),
+    ({"resolution": "fine"}, "finite number, got 'fine'"), ({"origin": "[0, 0]"}, "`origin` must be a list"),
     ({"origin": "[0, 0, .nan]"}, "finite"), ({"origin": "[0, 0, 0.5]"}, "yaw of 0"),
     ({"free_thresh": ".nan"}, "finite"), ({"free_thresh": 7}, "0 <= free_thresh"),
     ({"free_thresh": 0.7}, "0 <= free_thresh"), ({"image": "none.png"}, "no such"),

@@ -166,7 +166,7 @@ def test_blocks_and_plates_are_added_and_removed_and_the_puzzle_follows():
     with pytest.raises(ConfigError, match=r"puzzle\.things"):
         scene.remove("plate-1")
     wall = next(solid for solid in scene.instance.solids if solid.role == "wall")
-    with pytest.raises(ConfigError, match="clear of walls"):
+    with pytest.raises(ConfigError, match="a centre on the floor"):
         scene.add("crate", make_block(wall.x, wall.y))
     with pytest.raises(ConfigError, match="off the starts"):
         scene.add("crate", make_block(scene.instance.starts[0].x, scene.instance.starts[0].y))

@@ -52,6 +52,7 @@ DESCRIBED_ID = "hrl_escape/Described-v1"
 MEMORY_WRAPPER = "hrl_escape.options.memory:DecisionMemory"
 
 OWN = frozenset({
+    "hrl_escape.env.mazes:PointMazeEnv",
     "hrl_escape.env.config:DynamicsConfig",
     "hrl_escape.env.config:ExitConfig",
     "hrl_escape.env.config:ObstaclesConfig",

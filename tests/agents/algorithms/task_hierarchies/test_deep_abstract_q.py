@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.agents.algorithms.task_hierarchies.test_hac import measure
 
 from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.task_hierarchies.deep_abstract_q import DeepAbstractQ
 from hrl_escape.checks import check_agent
+from tests.agents.algorithms.task_hierarchies.test_hac_finite import measure
 from tests.agents.running import learn
 from tests.classic.exact import find_fewest_primitives
 from tests.classic.four_rooms import EAST_HALLWAY, GRID, HALLWAYS, ROOMS, FourRooms, make_room_mask
