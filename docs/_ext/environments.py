@@ -43,7 +43,7 @@ from hrl_escape.templates import embed_json
 
 PAGES = Path(__file__).parents[1] / "environments"
 GROUPS = {"Button rooms": "buttons", "Puzzles on panels": "classic puzzle", "Random domains": "random domain",
-          "Grid worlds": "grid world", "Rigid-body physics": "physics"}
+          "Grid worlds": "grid world", "Rigid-body physics": "physics", "Velocities": "velocities"}
 """Headings of the index, and the tag of the presets below each."""
 IN_FIRST_VERSION = ("paper-one-button", "paper-two-button", "larg-2019", "four-button-chain", "arm-two-button",
                     "clutter", "ten-button", "twenty-button", "bit-flip", "push-block")

@@ -10,7 +10,7 @@
     hrl-escape train maxq-q+planned
     hrl-escape train ppo --num-envs 1024 --primitives 5000000
     hrl-escape train dac --num-envs 64 --primitives 500000
-    hrl-escape train hiro --room continuous-four-rooms --num-envs 4096 --primitives 4000000
+    hrl-escape train hiro --room continuous-four-rooms --num-envs 256
     hrl-escape train text-agent --settings model=search-random reveal=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
 
