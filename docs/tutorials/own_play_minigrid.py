@@ -121,3 +121,5 @@ for name, each in (("agent", result), ("random choice", chance)):
 
 # Minari's own `DataCollector(env, record_infos=True)` records the same set while any agent acts, and `from_minari`
 # reads it in the same way.
+
+result.plot()
