@@ -2,7 +2,7 @@
 
 Andrychowicz et al. (2017), strategy `future`: with probability k / (k + 1) a drawn decision gets a goal that was
 achieved by it or later in its episode, and reward and termination are computed again. Decisions of one environment
-stand in consecutive places of its own row, so the later ones are found without a search.
+are stored in consecutive places of its own row, so the later ones are found without a search.
 """
 
 from __future__ import annotations
@@ -73,7 +73,10 @@ class GoalReplay(Stateful):
         self._scale, self._length = scale, max(2, capacity // num_envs)
         size = flatdim(encoder.space["achieved_goal"])
         place = self._length * num_envs
-        zeros = lambda *shape: torch.zeros((place, *shape), device=arrays.device)  # noqa: E731
+
+        def zeros(*shape: int) -> torch.Tensor:
+            return torch.zeros((place, *shape), device=arrays.device)
+
         self._rows = {"observation": zeros(*encoder.shape), "action": zeros(actions), "discount": zeros(),
                       "reward": zeros(), "bootstrap": zeros(), "terminated": zeros(), "truncated": zeros(),
                       "next_observation": zeros(*encoder.shape), "achieved": zeros(size).double(),
@@ -95,9 +98,10 @@ class GoalReplay(Stateful):
         Raises:
             StepContractError: a decision ran several primitives; goals achieved inside it are unknown.
         """
-        if int(max(batch.duration)) > 1:
-            raise StepContractError(f"a decision ran {int(max(batch.duration))} primitives; hindsight_goals need "
-                                    "decisions of one primitive. Set hindsight_goals to 0")
+        longest = int(batch.duration.max())
+        if longest > 1:
+            raise StepContractError(f"a decision ran {longest} primitives; hindsight_goals need decisions of one "
+                                    "primitive. Set hindsight_goals to 0")
         env = torch.as_tensor(batch.env)
         place = env * self._length + self._count[env] % self._length
         over = torch.as_tensor(batch.terminated | batch.truncated)
@@ -133,14 +137,13 @@ class GoalReplay(Stateful):
         later = own + (row[1].double() * (last - own + 1)).long().clamp(min=0)
         later = torch.minimum(later, last.clamp(min=0))
         is_replaced = (row[2] < self._share) & (last >= 0)
-        found = {name: rows[place] for name, rows in self._rows.items()}
+        found = {name: rows.index_select(0, place) for name, rows in self._rows.items()}
         goal = self._rows["achieved"][env * length + later % length]
         return self._relabel(found, goal, is_replaced)
 
     def _relabel(self, found: dict[str, torch.Tensor], goal: torch.Tensor, is_replaced: torch.Tensor) -> Experience:
         """Replace some goals, and compute reward and termination again; ends for other reasons stay ends."""
-        observation, next_observation = found["observation"].clone(), found["next_observation"].clone()
-        reward, bootstrap = found["reward"].clone(), found["bootstrap"].clone()
+        reward, bootstrap = found["reward"], found["bootstrap"]
         rows = is_replaced.nonzero().squeeze(1)
         if len(rows):
             achieved, desired, goal = found["achieved"][rows], found["desired"][rows], goal[rows]
@@ -151,7 +154,8 @@ class GoalReplay(Stateful):
                                                                     torch.bool)
             bootstrap[rows] = found["discount"][rows] * ~(reached | otherwise)
             encoded = self._encoder.encode_goals(goal)
-            for each in (observation, next_observation):
-                each[rows, -encoded.shape[1]:] = encoded
+            for name in ("observation", "next_observation"):
+                found[name][rows, -encoded.shape[1]:] = encoded
         none = torch.ones((len(reward), 0), dtype=torch.bool, device=reward.device)
-        return Experience(observation, none, found["action"], reward, bootstrap, next_observation, none)
+        return Experience(found["observation"], none, found["action"], reward, bootstrap, found["next_observation"],
+                          none)
