@@ -12,7 +12,7 @@ import torch
 from hrl_escape.agents.agent import GoalRule
 from hrl_escape.agents.components.box_actions import BoxActions
 from hrl_escape.agents.components.goal_replay import GoalReplay
-from hrl_escape.agents.components.replay import Experience, ReplayAgent
+from hrl_escape.agents.components.replay import ReplayAgent
 from hrl_escape.agents.decisions import Decisions, Moments
 
 
@@ -67,8 +67,3 @@ class BoxAgent(ReplayAgent):
         else:
             self.replay.add(experience, batch.env, batch.terminated | batch.truncated)
         return self.make_due_updates(batch.duration)
-
-    def draw(self, size: int) -> Experience:
-        """Draw a batch of backups from replay, at most `max_batch_size` with many environments."""
-        settings = self.settings
-        return super().draw(min(size, max(settings.batch_size, settings.max_batch_size)))

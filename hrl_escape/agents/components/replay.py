@@ -68,6 +68,16 @@ class UpdateSchedule(Stateful):
         return whole
 
 
+def list_batch_sizes(settings: Any, due: int, is_many: bool) -> list[int]:
+    """Return the size of each minibatch for some due updates; with many environments fewer, larger ones.
+
+    Sizes are at most `max_batch_size`, in settings that have it.
+    """
+    count = min(due, settings.max_updates) if is_many else due
+    size = settings.batch_size * due // max(count, 1)
+    return [min(size, max(settings.batch_size, getattr(settings, "max_batch_size", size)))] * count
+
+
 class Replay(Stateful):
     """The last `capacity` decisions, drawn uniformly with replacement as backups of n decisions.
 
@@ -251,7 +261,6 @@ class ReplayAgent(BatchAgent):
         self.place = num_envs, device
         self._arrays = Arrays(make_rng(self._seed, "draws"), device)
         capacity = max(settings.replay_capacity, settings.replay_per_env * num_envs if is_many else 1)
-        self._most_updates: float = settings.max_updates if is_many else np.inf
         action_shape = (self._box.size,) if self._box else (self._actions,) if self._is_relaxed else ()
         self.replay = Replay(self._arrays, capacity, encoder.shape, encoder.dtype, self._actions, action_shape,
                              self._n_step, num_envs)
@@ -289,9 +298,8 @@ class ReplayAgent(BatchAgent):
         steps = int(duration.sum()) if settings.clock == "primitive" else len(duration)
         due = self._schedule.advance(steps, len(self.replay))
         metrics: dict[str, float] = {}
-        count = min(due, self._most_updates)
-        for _ in range(int(count)):
-            metrics |= self.update(self.draw(settings.batch_size * due // int(count)))
+        for size in list_batch_sizes(settings, due, self.place[1] is not None):
+            metrics |= self.update(self.draw(size))
         return metrics
 
     def draw(self, size: int) -> Experience:

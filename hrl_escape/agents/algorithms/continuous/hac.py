@@ -30,7 +30,7 @@ from hrl_escape.agents.components.box_actions import BoxActions
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.goal_levels import GoalReader, RowReplay
 from hrl_escape.agents.components.networks import Learner, is_goal_space, make_generator, make_network
-from hrl_escape.agents.components.replay import UpdateSchedule
+from hrl_escape.agents.components.replay import UpdateSchedule, list_batch_sizes
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.errors import UnsupportedSpaceError
@@ -334,8 +334,7 @@ class Hac(BatchAgent):
             over = calls.is_over[level, env[rows]]
             if bool(over.any()) and settings.hindsight_goals:
                 self._replay_call(level, env[rows][over], count[level, rows][over] + 1)
-        duration = int(torch.as_tensor(batch.duration).sum())
-        return self._update(duration)
+        return self._update(int(batch.duration.sum()))
 
     def _add(self, level: int, view: Tensor, choice: Tensor, next_view: Tensor, goal: Tensor, reached: Tensor) -> None:
         """Store transitions: reward 0 and no bootstrap where the goal is reached, else -1 and gamma."""
@@ -368,9 +367,7 @@ class Hac(BatchAgent):
     def _update(self, primitives: int) -> dict[str, float]:
         settings, metrics = self.settings, {}
         due = self._schedule.advance(primitives, len(self.replays[-1]))
-        count = due if self.place[1] is None else min(due, settings.max_updates)
-        for _ in range(count):
-            size = min(settings.batch_size * due // count, max(settings.batch_size, settings.max_batch_size))
+        for size in list_batch_sizes(settings, due, self.place[1] is not None):
             for number, (level, replay) in enumerate(zip(self.levels, self.replays, strict=True)):
                 metrics |= {f"level_{number}_{name}": value for name, value in
                             level.update(replay.sample(size)).items()}

@@ -28,7 +28,7 @@ from hrl_escape.agents.components.box_actions import BoxActions
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.goal_levels import GoalReader, RowReplay
 from hrl_escape.agents.components.networks import make_generator, make_network
-from hrl_escape.agents.components.replay import UpdateSchedule
+from hrl_escape.agents.components.replay import UpdateSchedule, list_batch_sizes
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.settings import Range
@@ -270,9 +270,9 @@ class Hiro(BatchAgent):
         return self._update(int(duration.sum()))
 
     def _update(self, primitives: int) -> dict[str, float]:
-        settings, metrics = self.settings, {}
+        settings, is_many, metrics = self.settings, self.place[1] is not None, {}
         due = self._schedule.advance(primitives, len(self.worker_replay))
-        for size in self._list_sizes(due):
+        for size in list_batch_sizes(settings, due, is_many):
             drawn = self.worker_replay.sample(size)
             found = self.worker.update(drawn["seen"], drawn["action"], drawn["reward"], drawn["bootstrap"],
                                        drawn["next_seen"])
@@ -280,17 +280,10 @@ class Hiro(BatchAgent):
         self._manager_due += due / settings.window
         due = int(self._manager_due) if len(self.manager_replay) else 0
         self._manager_due -= due
-        for size in self._list_sizes(due):
+        for size in list_batch_sizes(settings, due, is_many):
             found = self.update_manager(self.manager_replay.sample(size))
             metrics |= {f"manager_{name}": value for name, value in found.items()}
         return metrics
-
-    def _list_sizes(self, due: int) -> list[int]:
-        """Return the size of each minibatch for some due updates; with many environments fewer, larger ones."""
-        settings = self.settings
-        count = due if self.place[1] is None else min(due, settings.max_updates)
-        largest = max(settings.batch_size, settings.max_batch_size)
-        return [min(settings.batch_size * due // max(count, 1), largest)] * count
 
     def store_windows(self, **rows: Tensor) -> None:
         """Store windows that ended, (n, ...) each, for the manager."""
