@@ -1,4 +1,4 @@
-"""HIRO: a manager that sets displacements as goals for a worker, both TD3, with goals relabelled for today's worker.
+"""HIRO: a manager that sets displacements as goals for a worker, both TD3, with old goals relabelled.
 
     worker:   r = -|s + g - s'|,  g' = h(s, g, s') = s + g - s',  TD3 on ((s, g), a, r, (s', g'))
     manager:  every c decisions, TD3 on (s_t, g~, sum of rewards, s_{t+c})
@@ -55,7 +55,7 @@ class HiroSettings(AgentSettings):
     goal_range: tuple[float, ...] = ()
     """Largest size of each component of a goal, in its unit; by default a quarter of the width between the bounds."""
     correction: bool = True
-    """Relabel old goals for today's worker; otherwise they stay as they were set."""
+    """Relabel old goals for the current worker; otherwise they stay as they were set."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (256, 256)
     """Units of each hidden layer, at both levels."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
@@ -239,14 +239,13 @@ class Hiro(BatchAgent):
         """Store decisions of the worker and windows that end, then make the updates that are due."""
         settings, goals, windows = self.settings, self.goals, self.windows
         env, duration = torch.as_tensor(batch.env), torch.as_tensor(batch.duration)
-        view, point = goals.view(batch.observation), goals.project(batch.observation)
         next_view, next_point = goals.view(batch.next_observation), goals.project(batch.next_observation)
         terminated, truncated = torch.as_tensor(batch.terminated), torch.as_tensor(batch.truncated)
-        goal = windows.goal[env]
-        left = point + goal - next_point
         at = env, windows.length[env]
+        goal = windows.goal[env]
+        left = windows.points[at] + goal - next_point
         self.worker_replay.add(
-            seen=self.join(view[:, : goals.own_size], goal), action=windows.actions[at],
+            seen=self.join(windows.views[at], goal), action=windows.actions[at],
             reward=-(left / goals.range).norm(dim=1),
             bootstrap=settings.worker_gamma ** duration.float() * ~terminated,
             next_seen=self.join(next_view[:, : goals.own_size], left))
@@ -305,15 +304,15 @@ class Hiro(BatchAgent):
         The sum is over the states in which actions were chosen; the state at the end of a window is not one.
         """
         views, points, actions = drawn["views"], drawn["points"], drawn["actions"]
-        told = candidates[:, :, None] + (points[:, :1] - points[:, :-1])[:, None]
+        goals = candidates[:, :, None] + (points[:, :1] - points[:, :-1])[:, None]
         views = views[:, None].expand(-1, candidates.shape[1], -1, -1)
-        chosen = self.worker.evaluate(self.join(views, told).flatten(0, 2)).view(*told.shape[:3], -1)
+        chosen = self.worker.evaluate(self.join(views, goals).flatten(0, 2)).view(*goals.shape[:3], -1)
         errors = ((chosen - actions[:, None]) ** 2).sum(-1)
         is_real = torch.arange(views.shape[2], device=views.device) < drawn["length"][:, None]
         return -0.5 * (errors * is_real[:, None]).sum(-1)
 
     def relabel(self, drawn: Mapping[str, Tensor]) -> Tensor:
-        """Return the goals that windows are learned with today, (n, size)."""
+        """Return the goals that windows are learned with, (n, size)."""
         points, rows = drawn["points"], torch.arange(len(drawn["goal"]), device=drawn["goal"].device)
         moved = (points[rows, drawn["length"].long()] - points[:, 0])[:, None]
         noise = self._arrays.draw_normal(len(rows), CANDIDATES, self.goals.size) * self.goals.range / 2
