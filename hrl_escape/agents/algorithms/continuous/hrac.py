@@ -9,8 +9,7 @@ Points are adjacent if one was visited within a window of the other. Zhang, Guo,
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import gymnasium
@@ -19,7 +18,7 @@ from torch import Tensor
 
 from hrl_escape.agents.algorithms.continuous.hiro import Hiro, HiroSettings
 from hrl_escape.agents.components.exploration import make_rng
-from hrl_escape.agents.components.networks import Learner, make_generator, make_network
+from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
@@ -37,7 +36,7 @@ class HracSettings(HiroSettings):
     adjacency_weight: Annotated[float, Range(0)] = 20.0
     """eta, weight of the penalty. 0 is HIRO."""
     adjacency_bins: Annotated[int, Range(2)] = 24
-    """Cells of the goal space along each component, in which visits are recorded. More cells tell nearer points apart
+    """Cells of the goal space along each component, in which visits are recorded. More cells distinguish nearer points
     and fill more slowly."""
     adjacency_radius: Annotated[float, Range(0, open_low=True)] = 1.0
     """eps, largest embedded distance of adjacent points."""
@@ -72,9 +71,9 @@ class Hrac(Hiro):
             raise AgentSettingsError("adjacency_bins", settings.adjacency_bins, "at most "
                                      f"{MOST_ADJACENCY_CELLS:,} cells in all "
                                      f"{goals.size} components of a goal, with finite bounds")
-        whole = SimpleNamespace(shape=(goals.size,), is_image=False)
-        self.psi = make_network(whole, EMBEDDING, SimpleNamespace(hidden=settings.adjacency_hidden,  # type: ignore[arg-type]
-                                initialisation=settings.initialisation), make_generator(make_rng(seed, "adjacency")))
+        cube = ObservationEncoder(gymnasium.spaces.Box(-1, 1, (goals.size,)), False)
+        self.psi = make_network(cube, EMBEDDING, replace(settings, hidden=settings.adjacency_hidden),
+                                make_generator(make_rng(seed, "adjacency")))
         self._adjacency_learner = Learner(f"{self.name} adjacency", {"psi": self.psi}, ["psi"], settings)
         self.is_adjacent = torch.zeros((cells, cells), dtype=torch.bool)
         self.is_visited = torch.zeros(cells, dtype=torch.bool)
