@@ -65,6 +65,11 @@ class CategoricalHead:
         return take_column(log_policy, choice), compute_entropy(log_policy, mask)
 
 
+def _measure_normal(noise: Any, log_std: Any) -> Any:
+    """Return the log density of each component of mu + sigma noise, of the noise's shape."""
+    return -(noise**2 / 2 + log_std + _HALF_LOG_TWO_PI)
+
+
 class GaussianHead:
     """Normal distribution with a learned standard deviation for each component, the same in all states.
 
@@ -90,15 +95,13 @@ class GaussianHead:
             log_std = log_std.numpy()
         noise = arrays.draw_normal(*mean.shape)
         choice = mean + arrays.library.exp(log_std) * noise
-        log_probability = -(noise**2 / 2 + log_std + _HALF_LOG_TWO_PI).sum(-1)
-        return self._box.scale(choice), choice, log_probability
+        return self._box.scale(choice), choice, _measure_normal(noise, log_std).sum(-1)
 
     def measure(self, mean: Tensor, mask: Tensor, choice: Tensor) -> tuple[Tensor, Tensor]:
         """Return log densities of choices, (n,), and the entropy, ()."""
         log_std = self.networks["spread"](mean)
         noise = (choice - mean) * (-log_std).exp()
-        log_probability = -(noise**2 / 2 + log_std + _HALF_LOG_TWO_PI).sum(-1)
-        return log_probability, (log_std + 0.5 + _HALF_LOG_TWO_PI).sum(-1).mean()
+        return _measure_normal(noise, log_std).sum(-1), (log_std + 0.5 + _HALF_LOG_TWO_PI).sum(-1).mean()
 
 
 LOG_STD_RANGE = -20.0, 2.0
@@ -121,5 +124,5 @@ def draw_squashed(outputs: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
     mean, log_std = outputs.chunk(2, dim=-1)
     log_std = log_std.clamp(*LOG_STD_RANGE)
     raw = mean + log_std.exp() * noise
-    log_density = -(noise**2 / 2 + log_std + _HALF_LOG_TWO_PI) - 2 * (math.log(2) - raw - functional.softplus(-2 * raw))
-    return raw.tanh(), log_density.sum(-1)
+    log_slope = 2 * (math.log(2) - raw - functional.softplus(-2 * raw))
+    return raw.tanh(), (_measure_normal(noise, log_std) - log_slope).sum(-1)
