@@ -109,7 +109,7 @@ class GatedMemory(Memory):
         found = []
         for place in range(places):
             rows = stretches.grid[place]
-            seen = self.read(observation[rows], now)
+            seen = self.read(observation.index_select(0, rows), now)
             found.append(seen)
             now = torch.where(over[rows, None], 0.0, self.get_state(seen))
         return torch.stack(found)[stretches.is_real]

@@ -123,7 +123,7 @@ class DAC(OptionRolloutAgent):
         metrics: dict[str, float] = {}
         for compute_loss, *numbers in updates:
             metrics |= self.heads.learner.minimise_each(
-                compute_loss(rollout, choices, rows, *(each[rows] for each in numbers))
+                compute_loss(rollout, choices, rows, *(each.index_select(0, rows) for each in numbers))
                 for rows in self._draw_batches(len(option), len(option)))
         return metrics | {"gradient_norm": self.heads.learner.gradient_norm,
                           "value": low_values.mean().item() / settings.reward_scale}
@@ -131,16 +131,17 @@ class DAC(OptionRolloutAgent):
     def compute_low_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                          advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
         """Return the loss of actions within options over some rows, and its parts."""
-        return self.heads.compute_option_loss(rollout.observation[rows], rollout.mask[rows], choices.option[rows],
-                                        rollout.action[rows], old_log_probability, advantage, target)
+        fields = rollout.observation, rollout.mask, choices.option, rollout.action
+        return self.heads.compute_option_loss(*(field.index_select(0, rows) for field in fields), old_log_probability,
+                                              advantage, target)
 
     def compute_high_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                           advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
         """Return the loss of the policy over options over some rows, and its parts; values only train the critic."""
-        settings, observation = self.settings, rollout.observation[rows]
-        former = choices.former[rows]
+        settings, (observation, option, former) = self.settings, (field.index_select(0, rows) for field in (
+            rollout.observation, choices.option, choices.former))
         choice = self.heads.compute_option_choice(observation, former)
-        log_probability = take_column(choice, choices.option[rows]).clamp(min=SMALLEST).log()
+        log_probability = take_column(choice, option).clamp(min=SMALLEST).log()
         policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip,
                                            settings.normalise_advantages)
         values = mix_values(choice.detach(), self.heads.critic(observation), former)

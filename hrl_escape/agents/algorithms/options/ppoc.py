@@ -154,7 +154,7 @@ class PPOC(OptionRolloutAgent):
         due = [option for option, own in self._waiting.items() if len(own.action) >= settings.least_samples]
         for option in sorted(due):
             own = self._waiting.pop(option)
-            batches = (OptionSamples(*(field[rows] for field in own))
+            batches = (OptionSamples(*(field.index_select(0, rows) for field in own))
                        for rows in self._draw_batches(len(own.action), len(choices.option)))
             metrics |= self.heads.learner.minimise_each(
                 self.compute_loss(option, batch) | self.step_termination(option, batch) for batch in batches)

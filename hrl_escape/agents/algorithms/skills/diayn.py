@@ -221,10 +221,11 @@ class DIAYN(OptionRolloutAgent):
                        self.heads.compute_old_log_probability(rollout, choices), advantage, advantage + values)
         batches = list(self._draw_batches(len(option), len(option)))
         metrics = self.heads.learner.minimise_each(
-            self.heads.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
+            self.heads.compute_option_loss(*(column.index_select(0, rows) for column in columns)) for rows in batches)
         goals = self.read_goals(rollout.next_observation)
         judged = self._judge.minimise_each(
-            {"discriminator_loss": functional.cross_entropy(self.discriminator(goals[rows]), option[rows])}
+            {"discriminator_loss": functional.cross_entropy(self.discriminator(goals.index_select(0, rows)),
+                                                            option.index_select(0, rows))}
             for rows in batches)
         return metrics | judged | {"skill_reward": rewards.mean().item(),
                                    "gradient_norm": self.heads.learner.gradient_norm}
