@@ -95,7 +95,7 @@ def find_agent_name(agent_class: type[Agent]) -> str:
     Raises:
         AgentSettingsError: it has abstract methods, or another agent has its name.
     """
-    for name in (*_find_shipped(), *(name for name in agents if name not in _find_shipped())):
+    for name in agents:
         module = _find_shipped().get(name, agent_class.__module__)
         if module == agent_class.__module__ and agents.get(name) is agent_class:
             return name
