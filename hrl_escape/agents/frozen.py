@@ -21,7 +21,18 @@ ChooseAction = Callable[[Any, NDArray[np.bool_]], Any]
 """(observation, action mask) -> action."""
 
 
-class FrozenAgent(FixedPolicy):
+class _FrozenPolicy(FixedPolicy):
+    """Base class: acts by `_choose`."""
+
+    is_frozen = True
+    _choose: ChooseAction
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Return the policy's action."""
+        return int(np.asarray(self._choose(observation, action_mask)).reshape(()))
+
+
+class FrozenAgent(_FrozenPolicy):
     """A trained model, or a function that acts, as an agent without training.
 
     It is accepted wherever an agent is. A comparison evaluates it once, in the episodes of all other agents.
@@ -36,7 +47,6 @@ class FrozenAgent(FixedPolicy):
         AgentSettingsError: the policy is neither.
     """
 
-    is_frozen = True
     player: type[Agent]
     """Class that makes this agent for an environment."""
 
@@ -46,15 +56,10 @@ class FrozenAgent(FixedPolicy):
         content = network if hasattr(network, "state_dict") else policy
         self.player = type(name, (_FrozenPlayer,), {"name": name, "policy": policy, "content": content})
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Return the policy's action."""
-        return int(np.asarray(self._choose(observation, action_mask)).reshape(()))
 
-
-class _FrozenPlayer(FixedPolicy):
+class _FrozenPlayer(_FrozenPolicy):
     """A frozen agent, made as all agents are."""
 
-    is_frozen = True
     policy: ClassVar[Any]
     content: ClassVar[Any]
     """Part of the policy that decides its actions, for the identity of runs."""
@@ -62,10 +67,7 @@ class _FrozenPlayer(FixedPolicy):
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DiscountSettings | None = None) -> None:
         self.settings = settings or DiscountSettings()
-        self._agent = FrozenAgent(vars(type(self))["policy"])  # read from the class, where a function is no method
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        return self._agent.act(observation, action_mask)
+        self._choose = _read_policy(vars(type(self))["policy"])  # read from the class, where a function is no method
 
 
 def _read_policy(policy: Any) -> ChooseAction:
