@@ -17,15 +17,13 @@ from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.spec import COUNT_CUES
 from hrl_escape.benchmark.episodes import StateRecorder
-from hrl_escape.benchmark.references.search import SearchBacktrack
+from hrl_escape.benchmark.references.trained_search import TrainedSearch
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.cues import split_cue
-from hrl_escape.errors import UnsupportedError
 
 CUE_KINDS = ("symbol", "direction", "symbols", "plug", "number")
 """Kinds of cues that are counted."""
@@ -56,13 +54,13 @@ class _Count:
     next: float = 0.0
 
 
-class CountCues(SearchBacktrack):
+class CountCues(TrainedSearch):
     """Counting baseline: learns in training rooms which cues the next button has.
 
-    `act` searches and learns; `act_greedy` acts by the counts. The first decision raises `UnsupportedError` for puzzles
-    other than buttons.
+    `act` searches and learns; `act_greedy` acts by the counts.
     """
 
+    SPEC = COUNT_CUES
     RULE = "tries the buttons whose cues were next most often in training rooms, by odds and distance"
     STATE = ("counted", "_rng")
 
@@ -72,7 +70,6 @@ class CountCues(SearchBacktrack):
         self._losses: list[float] = []  # primitives lost by each wrong press
         self._memories: dict[str, tuple[dict[Any, Any], dict[Any, Any]]] = {}  # of rooms without an escape yet
         self._lit: list[int] = []  # targets that are on, in order
-        self._is_learning = False
         self._table: CountTable | None = None
 
     @property
@@ -91,24 +88,10 @@ class CountCues(SearchBacktrack):
         """Number of training rooms that it has escaped from."""
         return len(self._orders)
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Choose an action of a training episode."""
-        self._is_learning = True
-        return super().act_greedy(observation, action_mask, self._rng)
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action by what was counted."""
-        self._is_learning = False
-        return super().act_greedy(observation, action_mask, rng)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+    def _learn(self, transition: SMDPTransition, has_escaped: bool) -> None:
         """Count the order of a training room at its first escape."""
-        if not (transition.terminated or transition.truncated):
-            return {}
-        states, room = self._recorder.states, self._room.instance.id
-        self._read_on(states)
-        self._chosen = None
-        if transition.terminated and self._puzzle.is_solved(states[-1].puzzle):
+        room = self._room.instance.id
+        if has_escaped:
             if room not in self._orders and len(self._orders) < MOST_ROOMS:
                 self._orders[room], self._table = self._look(), None
             self._memories.pop(room, None)
@@ -116,16 +99,12 @@ class CountCues(SearchBacktrack):
             if transition.terminated:
                 self._losses.append(float(self._room.instance.horizon))
             self._memories[room] = self._known, self._states
-        return {}
 
     def _begin(self, is_new: bool) -> None:
-        room = self._room.instance
-        if not isinstance(room.puzzle, ButtonsPuzzle):
-            raise UnsupportedError(f"count-cues supports button puzzles; {room.name} has a puzzle of kind "
-                                   f"{room.puzzle.kind!r}. Take search-backtrack")
         super()._begin(is_new)
-        if self._is_learning and room.id in self._memories:
-            self._known, self._states = self._memories[room.id]
+        room = self._room.instance.id
+        if self._is_learning and room in self._memories:
+            self._known, self._states = self._memories[room]
         self._lit = []
         if self._table is None:
             self._table = CountTable(list(self._orders.values()))

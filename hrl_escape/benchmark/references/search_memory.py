@@ -16,14 +16,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.spec import SEARCH_MEMORY
 from hrl_escape.benchmark.episodes import StateRecorder
-from hrl_escape.benchmark.references.search import SearchBacktrack
+from hrl_escape.benchmark.references.trained_search import TrainedSearch
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
-from hrl_escape.errors import UnsupportedError
 
 _UNKNOWN = 10**9
 """Length of an escape that has not ended yet, longer than any."""
@@ -42,13 +40,14 @@ class _Memory:
     """Changes of `presses` that are still to be tried, the last one first."""
 
 
-class SearchMemory(SearchBacktrack):
+class SearchMemory(TrainedSearch):
     """Search baseline that remembers earlier episodes in the room.
 
-    `act` explores and learns. `act_greedy` repeats the shortest escape known, and searches before the first. The first
-    decision raises `UnsupportedError` for puzzles other than buttons.
+    `act` explores and learns. `act_greedy` repeats the shortest escape known, and searches before the first. Trials in
+    one room share what they find out.
     """
 
+    SPEC = SEARCH_MEMORY
     RULE = ("repeats the presses that turned buttons on in its shortest escape from the room, with one of them dropped "
             "or moved in each training episode")
     STATE = ("kept", "_rng")
@@ -56,7 +55,6 @@ class SearchMemory(SearchBacktrack):
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
         self._learned = self._memory = _Memory()
-        self._is_learning = False
         self._plan: list[int] = []  # presses still to make in this episode
         self._lit: list[int] = []  # actions that turned on the buttons that are on
         self._seen: set[tuple[int, int]] = set()  # states and actions of `_memory.results`
@@ -72,52 +70,29 @@ class SearchMemory(SearchBacktrack):
             value["room"], [(before, action, after) for before, action, after in value["results"]],
             tuple(value["presses"]), value["length"], [tuple(each) for each in value["waiting"]])
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Choose an action of a training episode."""
-        self._is_learning = True
-        return super().act_greedy(observation, action_mask, self._rng)
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action by what is known; trials in one room share what they find out."""
-        self._is_learning = False
-        return super().act_greedy(observation, action_mask, rng)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Read the presses of the decision; at the end of an episode keep the order of presses if it was not longer."""
-        self._finish(transition)
-        return {}
-
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
-        """Read the presses of a decision of an evaluation, for later trials in the room."""
-        self._finish(transition)
+        """Read the presses of an evaluation, for later trials in the room."""
+        self.observe(transition)
 
-    def _finish(self, transition: SMDPTransition) -> None:
-        if not (transition.terminated or transition.truncated):
-            return
-        states, memory = self._recorder.states, self._memory
-        self._read_on(states)
-        self._chosen = None
-        length, puzzle = len(states) - 1, self._puzzle
-        if transition.terminated and puzzle.is_solved(states[-1].puzzle) and length <= memory.length:
+    def _learn(self, transition: SMDPTransition, has_escaped: bool) -> None:
+        """Keep the order of presses if the escape was not longer."""
+        length, memory = len(self._recorder.states) - 1, self._memory
+        if has_escaped and length <= memory.length:
             is_change = memory.length == _UNKNOWN or (length < memory.length and tuple(self._lit) != memory.presses)
             memory.presses, memory.length = tuple(self._lit), length
             if is_change:
                 memory.waiting = self._list_changes(memory.presses)
 
     def _begin(self, is_new: bool) -> None:
-        room = self._room.instance
-        if not isinstance(room.puzzle, ButtonsPuzzle):
-            raise UnsupportedError(f"search-memory supports button puzzles; {room.name} has a puzzle of kind "
-                                   f"{room.puzzle.kind!r}. Take search-backtrack, which forgets after each episode")
-        if self._is_learning and self._learned.room != room.id:
-            self._learned = _Memory(room.id)
+        super()._begin(is_new=True)
+        room = self._room.instance.id
         if self._is_learning:
+            if self._learned.room != room:
+                self._learned = _Memory(room)
             self._memory = self._learned
-        elif is_new or self._memory.room != room.id:
-            self._memory = copy.deepcopy(self._learned) if self._learned.room == room.id else _Memory(room.id)
+        elif is_new or self._memory.room != room:
+            self._memory = copy.deepcopy(self._learned) if self._learned.room == room else _Memory(room)
         memory = self._memory
-        self._known: dict[Hashable, dict[int, Hashable]] = {}
-        self._states: dict[Hashable, Any] = {}
         self._seen = set()
         for before, action, after in memory.results:
             self._keep(before, action, after)
