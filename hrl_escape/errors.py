@@ -384,7 +384,7 @@ class VerificationError(EscapeError, ValueError):
     """Content differs from its published hash: the rooms of a benchmark, or a recording."""
 
 
-# --- the viewer ------------------------------------------------------------------------
+# --- services --------------------------------------------------------------------------
 
 
 class EndpointError(EscapeError, RuntimeError):

@@ -24,9 +24,10 @@ from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.benchmark.reporting.figures import choose_styles, draw_styled
 from hrl_escape.benchmark.reporting.report import PAGE, format_first_escape, write_report
 from hrl_escape.benchmark.summary import AgentSummary, Summary, summarise
-from hrl_escape.benchmark.verdict import Sentence, write_verdict
+from hrl_escape.benchmark.verdict import Verdict, write_verdict
 from hrl_escape.errors import GridError
 from hrl_escape.figures import make_svg
+from hrl_escape.notebook import mark_labels
 from hrl_escape.sets.room_spec import RoomSpec
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def compare(
     temporary = tempfile.TemporaryDirectory(prefix="hrl-escape-") if out is None else None
     console = Console(stderr=True, highlight=False, quiet=not progress)
     comparison = run_grid(grid, temporary.name if temporary is not None else os.fspath(out or ""),
-                          LocalLauncher(workers), console)
+                          LocalLauncher(workers), console, progress=None if progress else False)
     return CompareResult(comparison, summarise(comparison), format_call(grid), temporary)
 
 
@@ -149,7 +150,7 @@ class CompareResult:
         return f"<CompareResult of {len(self.summary.agents)} agents, {len(self.summary.runs)} runs: {headline}>"
 
     @cached_property
-    def verdict(self) -> list[Sentence]:
+    def verdict(self) -> Verdict:
         """Sentences: a headline, findings and cautions."""
         return write_verdict(self.summary)
 
@@ -180,10 +181,10 @@ class CompareResult:
 
     def _repr_html_(self) -> str:
         headline, *others = self.verdict
-        findings = "".join(f"<li>{_mark(sentence.text)}</li>" for sentence in others if sentence.kind == "finding")
-        cautions = "".join(f"<li>{_mark(sentence.text)}</li>" for sentence in others if sentence.kind == "caution")
+        findings, cautions = ("".join(f"<li>{mark_labels(each.text)}</li>" for each in others if each.kind == kind)
+                              for kind in ("finding", "caution"))
         care = f"<details><summary>Read with care</summary><ul>{cautions}</ul></details>" if cautions else ""
-        return (f"<p><b>{_mark(headline.text)}</b></p><ul>{findings}</ul>{make_svg(self.plot())}"
+        return (f"<p><b>{mark_labels(headline.text)}</b></p><ul>{findings}</ul>{make_svg(self.plot())}"
                 f"{self._make_table()}{care}")
 
     def _make_table(self) -> str:
@@ -203,9 +204,3 @@ class CompareResult:
         return [self.summary.measure.describe(agent.primary), f"{agent.success.value:.0%}" if reports else "-",
                 f"{agent.length.value:,.0f}", f"{agent.decisions:,.0f}",
                 format_first_escape(agent) if reports else "-"]
-
-
-def _mark(text: str) -> str:
-    """Return HTML of a sentence with the labels between backticks as code."""
-    return "".join(f"<code>{escape(part)}</code>" if number % 2 else escape(part)
-                   for number, part in enumerate(text.split("`")))

@@ -17,6 +17,7 @@ import numpy as np
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.env_spec import EnvPlace
 from hrl_escape.benchmark.grid import Grid
+from hrl_escape.benchmark.references.registry import TRAINED_IN_ROOM, TRAINED_IN_SET
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.names import make_console_text, tell_seconds
@@ -65,10 +66,12 @@ def describe_cost(grid: Grid, places: Iterable[RunPlace | EnvPlace]) -> str:
     """Describe the estimated core time of a grid for the console."""
     if grid.env is not None:
         return "no rate is published for " + ", ".join(make_console_text(place.name) for place in places)
-    if not any(agent.learns for agent in grid.agents):
+    references = TRAINED_IN_SET if grid.train_rooms else TRAINED_IN_ROOM
+    if not any(agent.learns or agent.name in references for agent in grid.agents):
         return "no agent is trained"
     buttons = [_count_at(place) for place in places if isinstance(place, RunPlace)]
     hours, unknown = estimate_hours(grid.agents, grid.primitives, buttons, grid.runs, load_rates())
+    unknown += [agent.label for agent in grid.agents if agent.name in references]
     names = ", ".join(map(make_console_text, unknown))
     return (f"about {tell_seconds(3600 * hours)} of training on one core by published rates"
             + (f", and that of {names}, of which no rate is published" if unknown else ""))

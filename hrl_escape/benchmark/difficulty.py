@@ -130,10 +130,9 @@ def measure_difficulty(room: RoomInstance, episodes: int = 10, seed: int = 0) ->
         The same numbers for the same room, episodes and seed.
     """
     scale = _find_scale(room, episodes, seed)
-    known = scale is not None and scale.source != CEILING
-    random_options, search = (_run_baseline(name, room, scale if known else None, episodes, seed)
+    random_options, search = (_run_baseline(name, room, scale, episodes, seed)
                               for name in (RANDOM_OPTIONS, SEARCH_NEAREST))
-    oracle = float(np.mean(scale.fewest)) if scale is not None and known else None
+    oracle = None if scale is None else float(np.mean(scale.fewest))
     return Difficulty(room, oracle, random_options, search, solve_random_walk(room))
 
 
@@ -145,13 +144,14 @@ def draw_difficulty(difficulty: Difficulty) -> Any:
 
 
 def _find_scale(room: RoomInstance, episodes: int, seed: int) -> ScoreRange | None:
-    """Find the fewest known primitives from the start of each episode."""
+    """Find the fewest known primitives from the start of each episode, or None without a known plan."""
     oracle = AgentSpec.parse(ORACLE)
     env, recorder = make_agent_env(oracle, room, "features")
     with tempfile.TemporaryDirectory() as cache:
         try:
             starts = find_starts(env, recorder, [compute_episode_seed(seed, "evaluation", n) for n in range(episodes)])
-            return compute_score_range(starts, oracle, Path(cache))
+            found = compute_score_range(starts, oracle, Path(cache))
+            return None if found.source == CEILING else found
         except EscapeError:
             return None
         finally:

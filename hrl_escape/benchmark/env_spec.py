@@ -124,20 +124,19 @@ class EnvSpec(Settings):
         if agent.options.option_set != "press" or agent.options.memory:
             raise GridError(f"{agent.label} needs a room for its options: take {agent.name} and give the options of "
                             f"{self.name}")
-        env = self.make_flat()
-        if not agent.chooses_options or not self.options:
-            has_options = env.has_wrapper_attr("primitive_count")
-            if agent.chooses_options == has_options:
-                return env
-            env.close()
-            raise GridError(f"{agent.label} chooses among options, and {self.name} has none: give options=" if
-                            agent.chooses_options else f"{agent.label} acts with primitives, and {self.name} has "
-                            "options: give env= without them, and options=")
-        from hrl_escape.options.options_env import OptionsEnv  # loads the planners
+        env, view = self.make_flat(), agent.options
+        if agent.chooses_options and self.options:
+            from hrl_escape.options.options_env import OptionsEnv  # loads the planners
 
-        view = agent.options
-        return OptionsEnv(env, _find_part(self.options, "options"), include_primitives=view.include_primitives,
-                          interruptible=view.interruptible, max_duration=view.max_duration, trace=agent.needs_trace)
+            return OptionsEnv(env, _find_part(self.options, "options"), include_primitives=view.include_primitives,
+                              interruptible=view.interruptible, max_duration=view.max_duration, trace=agent.needs_trace)
+        if agent.chooses_options == env.has_wrapper_attr("primitive_count"):
+            return env
+        env.close()
+        if agent.chooses_options:
+            raise GridError(f"{agent.label} chooses among options, and {self.name} has none: give options=")
+        raise GridError(f"{agent.label} acts with primitives, and {self.name} has options: give env= without them, "
+                        "and options=")
 
     def make_place(self, agents: Sequence[AgentSpec]) -> EnvPlace:
         """Make the environment once for every kind of agent, and return it as a place of runs.

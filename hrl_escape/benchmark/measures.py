@@ -14,7 +14,10 @@ class Measure(NamedTuple):
     metric: str  # of `RunResult.get_final`
     curve: str  # of `Curve.metrics`
     name: str  # in sentences and on axes
+    article: str  # before the name
     better: str  # between two labels, where the first has a higher value
+    verb: str  # of an episode that reaches its goal
+    noun: str  # of the same
     digits: str  # format of a value
     largest: float  # largest difference of two values
     interval: str  # of its estimates, in words
@@ -28,9 +31,9 @@ class Measure(NamedTuple):
         return f"{estimate:{self.digits}}"
 
 
-EFFICIENCY = Measure("efficiency", "efficiency", "efficiency", "is more efficient than", ".2f", 1.0,
-                     "IQM, 95 % interval")
-SUCCESS = Measure("success_rate", "success", "success rate", "succeeds more often than", ".2f", 1.0,
-                  "mean, 95 % interval")
-RETURN = Measure("mean_return", "return", "return", "has a higher return than", ".4g", math.inf,
-                 "mean, 95 % t interval")
+EFFICIENCY = Measure("efficiency", "efficiency", "efficiency", "an", "is more efficient than", "escape", "escape",
+                     ".2f", 1.0, "IQM, 95 % interval")
+SUCCESS = Measure("success_rate", "success", "success rate", "a", "succeeds more often than", "succeed", "success",
+                  ".2f", 1.0, "mean, 95 % interval")
+RETURN = Measure("mean_return", "return", "return", "a", "has a higher return than", "succeed", "success",
+                 ".4g", math.inf, "mean, 95 % t interval")

@@ -61,8 +61,7 @@ class RunResult:
                    escapes=None if result.segments else sum(bool(episode.success) for episode in result.episodes))
 
     @classmethod
-    def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange | None
-                       ) -> RunResult:
+    def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange | None) -> RunResult:
         """Make the result of a reference from its evaluation."""
         waited = np.cumsum(evaluation.lengths)
         escapes = [int(at) for at, success in zip(waited, evaluation.successes, strict=True) if success]

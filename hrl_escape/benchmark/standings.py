@@ -113,17 +113,16 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
         efficiencies = [room for room in agent.efficiencies if len(room)]
         units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
         found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, parts))
-    by_room = {own.agent.spec.name: means for own in found
-               if own.agent.spec.name in (*SEARCH_METHODS, SEARCH_MEMORY, BAYES)
-               and (means := _list_room_means(own.agent, summary)) is not None}
+    room_means = [_list_room_means(own.agent, summary) for own in found]
+    by_room = {own.agent.spec.name: means for own, means in zip(found, room_means, strict=True)
+               if own.agent.spec.name in (*SEARCH_METHODS, SEARCH_MEMORY, BAYES) and means is not None}
     known = by_room.pop(BAYES, None)
     searched = [means for means in by_room.values() if known is not None and len(means) == len(known)]
     if known is None or not searched:
         return found
     best = max(searched, key=np.mean)
-    scored = [(own, _list_room_means(own.agent, summary)) for own in found]
     return [own._replace(normalised=None if means is None else normalise(float(means.mean()), best, known))
-            for own, means in scored]
+            for own, means in zip(found, room_means, strict=True)]
 
 
 def _list_room_means(agent: AgentSummary, summary: Summary) -> Floats | None:

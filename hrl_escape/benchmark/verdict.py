@@ -14,9 +14,9 @@ from typing import Literal
 
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.benchmark.inference import is_better
-from hrl_escape.benchmark.measures import EFFICIENCY, RETURN, Measure
+from hrl_escape.benchmark.measures import RETURN
 from hrl_escape.benchmark.references import registry as references
-from hrl_escape.benchmark.score_range import CEILING, PLANNER
+from hrl_escape.benchmark.score_range import CEILING
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.benchmark.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
@@ -78,7 +78,7 @@ def _write_headline(summary: Summary) -> str:
     contenders = [agent for agent in summary.agents if agent.spec.name != references.ORACLE]
     leader = find_leader(summary.agents)
     if leader.success.value == 0:
-        return f"No agent {_get_verb(summary)}s within {summary.grid.primitives:,} primitives of training."
+        return f"No agent {summary.measure.verb}s within {summary.grid.primitives:,} primitives of training."
     if len(contenders) < 2:
         return f"`{leader.label}` {_describe_end(summary, leader)}."
     others = sorted((agent for agent in contenders if agent is not leader), key=lambda agent: -agent.primary.value)
@@ -98,7 +98,7 @@ def _write_headline(summary: Summary) -> str:
     if len(tied) == 1:
         return (f"No significant difference between {_join_labels([leader, *level])}; the first "
                 f"{_describe_end(summary, leader)}.")
-    tie = (f"{_join_labels(tied)} tie at {_get_article(measure)} {measure.name} of "
+    tie = (f"{_join_labels(tied)} tie at {measure.article} {measure.name} of "
            f"{measure.format(leader.primary.value)}")
     return f"{tie}, with no significant difference from {_join_labels(level)}." if level else (
         f"{tie}: `{leader.label}` {_describe_end(summary, leader)}.")
@@ -126,7 +126,7 @@ def _join_labels(agents: Sequence[AgentSummary]) -> str:
 
 def _describe_end(summary: Summary, agent: AgentSummary) -> str:
     """`escapes every time, in 37 primitives`; elsewhere `succeeds every time` or `has a return of 92.1`."""
-    verb = _get_verb(summary)
+    verb = summary.measure.verb
     if summary.measure is RETURN:
         return f"has a return of {RETURN.describe(agent.primary)}"
     if agent.success.value == 0:
@@ -137,21 +137,9 @@ def _describe_end(summary: Summary, agent: AgentSummary) -> str:
     return f"{verb}s {often}, in {agent.length.value:.0f} primitives"
 
 
-def _get_verb(summary: Summary) -> str:
-    return "escape" if summary.measure is EFFICIENCY else "succeed"
-
-
-def _get_noun(summary: Summary) -> str:
-    return "escape" if summary.measure is EFFICIENCY else "success"
-
-
 def _get_place(summary: Summary) -> str:
     """` a room` after a number of runs, or nothing in one environment."""
     return " a room" if summary.grid.env is None else ""
-
-
-def _get_article(measure: Measure) -> str:
-    return "an" if measure is EFFICIENCY else "a"
 
 
 # --- findings --------------------------------------------------------------------------
@@ -167,7 +155,7 @@ def _compare_views(summary: Summary) -> list[str]:
     best_flat, best = find_leader(_prefer_learners(flat)), find_leader(_prefer_learners(hierarchical))
     names = join_words([f"`{agent.label}`" for agent in flat])
     if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
-        return [f"Without options no agent {_get_verb(summary)}s: {names} never "
+        return [f"Without options no agent {summary.measure.verb}s: {names} never "
                 f"{'does' if len(flat) == 1 else 'do'} within "
                 f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_end(summary, best)}."]
     with_options, without = _describe_end(summary, best), _describe_end(summary, best_flat)
@@ -251,7 +239,7 @@ def _describe_speed(summary: Summary) -> list[str]:
                       if agent.spec.learns and agent.escaped_runs)
     if not learners:
         return []
-    verb, noun = _get_verb(summary), _get_noun(summary)
+    verb, noun = summary.measure.verb, summary.measure.noun
     when = join_words([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs {verb})"
                        for value, label, agent in learners])
     return [f"First {noun} in training, on average, with runs that never {verb} counted at the budget: {when}."]
@@ -278,7 +266,7 @@ def _describe_gap(summary: Summary) -> list[str]:
 def _describe_stuck(summary: Summary) -> list[str]:
     some = [f"{agent.stuck_runs} of {agent.runs} runs of `{agent.label}`"
             for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
-    return [f"No {_get_noun(summary)} in the last fifth of training: {join_words(some)}."] if some else []
+    return [f"No {summary.measure.noun} in the last fifth of training: {join_words(some)}."] if some else []
 
 
 def _describe_generalisation(summary: Summary) -> list[str]:
@@ -350,10 +338,10 @@ def _write_cautions(summary: Summary) -> list[str]:
         if room.place.split is not None and (known := room.place.split.room_overlap):
             cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "
                             "is not efficiency in unseen rooms.")
-        if grid.env is None and CEILING in room.source.split(", "):
+        if CEILING in room.source.split(", "):
             cautions.append(f"No plan is known for {room.name}: its scores are measured by an escape at once, which no "
                             "agent can do, so efficiency there is near 0.")
-        elif grid.env is None and PLANNER not in room.source.split(", ") and room.source == "nothing":
+        elif room.source == "nothing":
             cautions.append(f"No run in {room.name} has a result.")
     mixed = [name for name, version in summary.versions.items() if ", " in version]
     if mixed:
@@ -372,7 +360,7 @@ def _get_choices(agent: AgentSummary) -> OptionsView:
 def _describe_even(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
     """Describe two agents without a significant difference."""
     measure = summary.measure
-    values = (f"`{first.label}` has {_get_article(measure)} {measure.name} of {measure.describe(first.primary)}, "
+    values = (f"`{first.label}` has {measure.article} {measure.name} of {measure.describe(first.primary)}, "
               f"`{second.label}` of {measure.describe(second.primary)}")
     return values if _has_few(summary, first, second) else f"no significant difference; {values}"
 

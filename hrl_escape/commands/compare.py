@@ -50,7 +50,7 @@ from hrl_escape.benchmark.launching.local import Launcher, LocalLauncher
 from hrl_escape.benchmark.presets import GRIDS, get_grid
 from hrl_escape.benchmark.reporting.report import format_first_escape, list_env_columns, list_env_values, write_report
 from hrl_escape.benchmark.summary import Summary
-from hrl_escape.benchmark.verdict import write_verdict
+from hrl_escape.benchmark.verdict import SENTENCE_MARKS, write_verdict
 from hrl_escape.commands.agent_choice import VectorObservation
 from hrl_escape.commands.room_choice import refuse_rooms, split_assignment
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
@@ -270,8 +270,7 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
     console.print()
     console.print(_mark(headline.text), style="bold")
     for sentence in others:
-        mark = "!" if sentence.kind == "caution" else "-"
-        console.print(Text(f"{mark} ", style="dim").append_text(_mark(sentence.text)))
+        console.print(Text(SENTENCE_MARKS[sentence.kind], style="dim").append_text(_mark(sentence.text)))
     table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1))
     table.add_column("agent", no_wrap=True)
     in_rooms = summary.grid.env is None

@@ -50,6 +50,11 @@ def test_words_on_a_grid_and_the_list_of_rungs_tell_the_cost(capsys):
     told = describe_cost(grid, grid.make_places())
     assert re.fullmatch(r"about 0\.\d s of training on one core by published rates, and that of dac, of which no rate "
                         "is published", told)
+    searches = dataclasses.replace(grid, agents=(AgentSpec("search-memory"), AgentSpec("count-cues")))
+    assert "and that of search-memory, of which" in describe_cost(searches, grid.make_places())
+    in_sets = dataclasses.replace(searches, rooms=(), train_rooms=("ladder-1/pair/train#0..1",),
+                                  test_rooms=("ladder-1/pair/test#0..1",))
+    assert "and that of count-cues, of which" in describe_cost(in_sets, in_sets.make_places())
     hours = describe_cost(dataclasses.replace(grid, runs=200, primitives=200_000), grid.make_places())
     assert re.match(r"about \d+ h \d+ min of training", hours), hours
     assert main(["ladder", "list", "--json"]) == 0

@@ -17,8 +17,7 @@ by the decisions that count for it.
 
 In a room, U holds the presses whose result with the current lights is unknown: buttons that are off and were not tried
 since a light changed. P holds the buttons that are off and are known to turn on with the current lights, and the exit
-once it is open. A decision leads to a target if it presses it, or presses nothing and
-ends nearer to it.
+once it is open. A decision leads to a target if it presses it, or presses nothing and ends nearer to it.
 """
 
 from __future__ import annotations

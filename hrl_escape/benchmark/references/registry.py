@@ -14,8 +14,8 @@
 
 `search-memory` remembers earlier episodes in a room. Compare learners that train in the room where they are tested with
 it; it supports button puzzles. `count-cues` learns in training rooms: compare learners that are tested in unseen rooms
-with it. The other search baselines forget everything at the end of an episode. The Bayes planner
-is given how rooms are drawn.
+with it. The other search baselines forget everything at the end of an episode. The Bayes planner is given how rooms are
+drawn.
 """
 
 from __future__ import annotations
@@ -62,8 +62,6 @@ SEARCH_METHODS = (SEARCH_RANDOM, SEARCH_NEAREST, SEARCH_BACKTRACK)
 """Search baselines that read which buttons are on, and forget everything after an episode."""
 SEARCH_BASELINES = (*SWEEP_BASELINES, *SEARCH_METHODS, SEARCH_MEMORY)
 """References that are given neither the dependency graph nor how rooms are drawn."""
-
-
 TRAINED_IN_ROOM, TRAINED_IN_SET = (SEARCH_MEMORY,), (COUNT_CUES,)
 """References that comparisons train: in the room where they are tested, and in training rooms."""
 

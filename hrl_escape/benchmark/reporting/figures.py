@@ -85,9 +85,13 @@ def save_figures(summary: Summary, folder: Path) -> None:
 
 def list_metrics(summary: Summary) -> dict[str, str]:
     """Return the metrics that are drawn, with the labels of their axes; the measure of the comparison comes first."""
-    labels = METRIC_LABELS if summary.grid.env is None else ENV_LABELS
-    known = [name for name in labels if name in summary.agents[0].curve.metrics]
-    return {name: labels[name] for name in sorted(known, key=lambda name: name != summary.measure.curve)}
+    return select_metrics(summary, METRIC_LABELS if summary.grid.env is None else ENV_LABELS)
+
+
+def select_metrics(summary: Summary, words: Mapping[str, str]) -> dict[str, str]:
+    """Return the words of the metrics that the curves have, the measure of the comparison first."""
+    known = [name for name in words if name in summary.agents[0].curve.metrics]
+    return {name: words[name] for name in sorted(known, key=lambda name: name != summary.measure.curve)}
 
 
 def draw_comparison(comparison: Comparison) -> Figure:

@@ -30,7 +30,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.env_spec import EnvPlace
 from hrl_escape.benchmark.inference import Estimate, Pair, is_better
-from hrl_escape.benchmark.reporting.figures import AgentStyle, choose_styles, is_level, save_figures
+from hrl_escape.benchmark.reporting.figures import AgentStyle, choose_styles, is_level, save_figures, select_metrics
 from hrl_escape.benchmark.run_results import RunResult, get_room_file, get_training_folder, read_episodes
 from hrl_escape.benchmark.statistics import compute_iqm, compute_score
 from hrl_escape.benchmark.summary import AgentSummary, Curve, RoomSummary, Summary, summarise
@@ -450,9 +450,7 @@ def list_page_metrics(summary: Summary) -> dict[str, str]:
     """Return the metrics of the page's learning curves, the first one drawn at first."""
     if summary.grid.env is None:
         return PAGE_METRICS
-    words = {"return": "return", **PAGE_METRICS}
-    known = [name for name in words if name in summary.agents[0].curve.metrics]
-    return {name: words[name] for name in sorted(known, key=lambda name: name != summary.measure.curve)}
+    return select_metrics(summary, {"return": "return", **PAGE_METRICS})
 
 
 def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:
