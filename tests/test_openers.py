@@ -86,7 +86,7 @@ REVIEWED = {
     "env/pictures/moving_map.py::make_moving_map": "scripts of the package",
     "env/pictures/video.py::_make_mp4": "a video that was just written, in a temporary folder",
     "env/mesh_files.py::_read_by_assimp": "a copy of a file that a guarded reader has read",
-    "planning/arm/shapes.py::_load_hull": "source files of the package",
+    "planning/arm/shapes.py::_hash_code": "source files of the package",
     "agents/training/archive.py::pack_parts": "an archive that is written",
     "agents/training/archive.py::read_parts": "members of an open archive, and new files in a new folder",
     "agents/training/checkpoint.py::_read_array": "members of an open archive",

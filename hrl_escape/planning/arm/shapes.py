@@ -12,14 +12,14 @@ from __future__ import annotations
 import hashlib
 import os
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import coal
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hrl_escape.env import mesh_files
 from hrl_escape.env.mesh_files import load_mesh
@@ -55,14 +55,22 @@ def make_shape(geometry: ElementTree.Element, link: str) -> Any:
         raise RobotError(f"the collision mesh of link {link!r}: {error}") from None
 
 
-def make_surface(path: str, scale: ArrayLike) -> Any:
+def make_surface(path: str, scale: tuple[float, ...]) -> Any:
     """Return the triangles of a mesh as a tree of boxes, its coordinates times `scale` (3,); errors as of `load_mesh`.
 
     The surface may be concave and open. It meets only what crosses it.
     """
+    load_mesh(path)
+    status = os.stat(path)
+    return _load_surface(path, scale, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=64)
+def _load_surface(path: str, scale: tuple[float, ...], _time: int, _size: int) -> Any:
+    """Build the surface of a mesh, once while the file does not change."""
     mesh, tree = load_mesh(path), coal.BVHModelOBBRSS()
     corners, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in mesh.vertices * np.asarray(scale):
+    for vertex in mesh.vertices * np.array(scale):
         corners.append(vertex)
     for triangle in mesh.triangles.tolist():
         faces.append(coal.Triangle(*triangle))
@@ -77,15 +85,19 @@ def _load_hull(path: str, scale: tuple[float, ...], _time: int, _size: int) -> A
     """Return the hull of a mesh, from the cache on disk if it is there; once while the file does not change."""
     content = read_bytes(path, "mesh", LARGEST_VISUAL)
     key = hashlib.sha256(f"{Path(path).suffix.lower()} {scale} ".encode() + content).hexdigest()
-    code = hashlib.sha256(b"".join(strip_prose(source.read_bytes()) for source in _SOURCES)).hexdigest()
-    file = make_cache_folder(f"hulls-{code[:12]}") / key
+    file = make_cache_folder(f"hulls-{_hash_code()}") / key
     corners = _read_corners(file)
     if corners is None:
-        hull = make_hull(load_mesh(path).vertices * np.array(scale))
+        corners = np.array(make_hull(load_mesh(path).vertices * np.array(scale)).points())
         with suppress(FileWriteError):
-            _write_corners(file, np.asarray(hull.points()))
-        return hull
-    return _make_convex(corners)
+            _write_corners(file, corners)
+    return _make_convex(corners)  # also of new corners, so that a hull is the same before and after it is on disk
+
+
+@cache
+def _hash_code() -> str:
+    """Return the digest of the code that cached hulls depend on."""
+    return hashlib.sha256(b"".join(strip_prose(source.read_bytes()) for source in _SOURCES)).hexdigest()[:12]
 
 
 def _read_corners(file: Path) -> NDArray[np.float64] | None:
