@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from hrl_escape.env.bases.base import make_cylinder_link
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.placements import compute_roll_pitch_yaw, make_rotation, rotate_about
-from hrl_escape.env.urdf import load_urdf, parse_urdf, prepare_urdf, read_numbers
+from hrl_escape.env.urdf import climb, load_urdf, map_joints, parse_urdf, prepare_urdf, read_numbers
 from hrl_escape.errors import RobotError
 
 BASE_LINK = "mobile-base"
@@ -254,19 +254,10 @@ def make_fixed_robot(arm: ElementTree.Element, hand: str = "", joints: Sequence[
 
 def _find_longest(whole: ElementTree.Element) -> str:
     """Return the first link that as many independent joints move as any."""
-    above = {child.get("link", ""): joint for joint in whole.findall("joint")
-             if (child := joint.find("child")) is not None}
+    above = map_joints(whole)
 
     def count(link: str) -> int:
-        total = 0
-        for _ in above:
-            if link not in above:
-                break
-            joint = above[link]
-            total += joint.get("type") in MOVING and joint.find("mimic") is None
-            parent = joint.find("parent")
-            link = "" if parent is None else parent.get("link", "")
-        return total
+        return sum(joint.get("type") in MOVING and joint.find("mimic") is None for joint in climb(above, link))
 
     return max((link.get("name", "") for link in whole.findall("link")), key=count)
 

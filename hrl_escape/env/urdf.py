@@ -65,6 +65,27 @@ def load_urdf(path: str | Path, package_paths: PackagePaths = ()) -> str:
     return ElementTree.tostring(root, encoding="unicode")
 
 
+def is_xml(source: str | Path) -> bool:
+    """Return whether a source is the text of an XML file; otherwise it is a path."""
+    return isinstance(source, str) and source.lstrip("\ufeff \n\r\t").startswith("<")
+
+
+def map_joints(urdf: ElementTree.Element) -> dict[str, ElementTree.Element]:
+    """Return the joint above each link, by the link's name."""
+    return {child.get("link", ""): joint for joint in urdf.findall("joint")
+            if (child := joint.find("child")) is not None}
+
+
+def climb(above: Mapping[str, ElementTree.Element], link: str, base: str = "") -> Iterator[ElementTree.Element]:
+    """Yield the joints from a link up to another link or the root, given the joint above each link."""
+    for _ in above:  # joints may form a circle
+        if link == base or link not in above:
+            return
+        yield above[link]
+        parent = above[link].find("parent")
+        link = "" if parent is None else parent.get("link", "")
+
+
 def parse_urdf(text: str | bytes, where: str) -> ElementTree.Element:
     """Parse a URDF; raises `RobotError` where `where` is none."""
     try:

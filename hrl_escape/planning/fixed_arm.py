@@ -19,7 +19,7 @@ from typing_extensions import Self
 
 from hrl_escape.env.placements import compute_roll_pitch_yaw, read_placement
 from hrl_escape.env.robot import Robot, make_fixed_robot
-from hrl_escape.env.urdf import PackagePaths, load_urdf, parse_urdf, prepare_urdf
+from hrl_escape.env.urdf import PackagePaths, is_xml, load_urdf, parse_urdf, prepare_urdf
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.planning.arm.inverse import ArmPosture, find_postures, read_target
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics, PairRules
@@ -93,8 +93,7 @@ class Arm:
             RobotError: the URDF cannot be read, or has no such link or joint.
             ConfigError: the SRDF, a placement or the name of an obstacle is not valid.
         """
-        is_text = isinstance(urdf, str) and urdf.lstrip("\ufeff \n\r\t").startswith("<")
-        root = parse_urdf(str(urdf) if is_text else load_urdf(urdf, package_paths), "the URDF")
+        root = parse_urdf(str(urdf) if is_xml(urdf) else load_urdf(urdf, package_paths), "the URDF")
         prepare_urdf(root)
         found = None if srdf is None else find_group(srdf, root, group)
         if group and srdf is None:
@@ -142,8 +141,7 @@ class Arm:
         Raises:
             ConfigError: the name is taken.
         """
-        taken = {*self._links, *(each.name for each in self.obstacles), "floor"}
-        if obstacle.name in taken:
+        if obstacle.name in self._names:
             raise ConfigError("name", obstacle.name, "a name that no other obstacle and no link has")
         return dataclasses.replace(self, obstacles=(*self.obstacles, obstacle),
                                    rules=self._allow(obstacle.name, may_touch))
@@ -231,8 +229,8 @@ class Arm:
             raise UnknownNameError("attached object", name, [each.obstacle.name for each in self.attached])
         placed = held.obstacle.at(self.compute_placement(angles, held.link) @ held.placement)
         urdf = ElementTree.fromstring(self.robot.urdf)
-        for tag, of_object in (("link", name), ("joint", f"{name}-grip")):
-            for element in urdf.findall(f"{tag}[@name='{of_object}']"):
+        for element in [*urdf]:
+            if (element.tag, element.get("name")) in (("link", name), ("joint", f"{name}-grip")):
                 urdf.remove(element)
         rules = dataclasses.replace(self._forbid(name), held=self.rules.held - {name})
         return dataclasses.replace(
@@ -248,9 +246,8 @@ class Arm:
 
     def _allow(self, name: str, others: Iterable[str]) -> PairRules:
         pairs = frozenset(frozenset((name, other)) for other in others)
-        known = {*self._links, *(each.name for each in self.obstacles), "floor"}
-        for other in sorted(frozenset().union(*pairs) - known - {name}):
-            raise UnknownNameError("link or obstacle", other, sorted(known))
+        for other in sorted(frozenset().union(*pairs) - self._names - {name}):
+            raise UnknownNameError("link or obstacle", other, sorted(self._names))
         return dataclasses.replace(self.rules, allowed=self.rules.allowed | pairs)
 
     def _forbid(self, name: str) -> PairRules:
@@ -262,6 +259,11 @@ class Arm:
     @cached_property
     def _links(self) -> tuple[str, ...]:
         return tuple(link.get("name", "") for link in ElementTree.fromstring(self.robot.urdf).findall("link"))
+
+    @cached_property
+    def _names(self) -> frozenset[str]:
+        """Return the names of everything that may be touched."""
+        return frozenset((*self._links, *(each.name for each in self.obstacles), "floor"))
 
     @cached_property
     def _hands(self) -> dict[str, ArmKinematics]:

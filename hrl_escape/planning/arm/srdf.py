@@ -6,13 +6,12 @@ import itertools
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
 from hrl_escape.env.robot import MOVING, Robot
-from hrl_escape.env.urdf import LARGEST_URDF, find_xacro
+from hrl_escape.env.urdf import LARGEST_URDF, climb, find_xacro, is_xml, map_joints
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.files import read_bytes
 
@@ -72,8 +71,7 @@ def find_group(source: str | Path, urdf: ElementTree.Element, name: str = "") ->
     groups = {group.get("name", ""): group for group in root.findall("group") if len(group)}
     if name not in groups:
         raise ConfigError("group", name, f"a group of the SRDF: {', '.join(groups)}")
-    above = {child.get("link", ""): joint for joint in urdf.findall("joint")
-             if (child := joint.find("child")) is not None}
+    above = map_joints(urdf)
     names, tips, seen = list[str](), list[str](), set[str]()
 
     def collect(group: str) -> None:
@@ -85,7 +83,8 @@ def find_group(source: str | Path, urdf: ElementTree.Element, name: str = "") ->
                 collect(part.get("name", ""))
             elif part.tag == "chain":
                 tips.append(part.get("tip_link", ""))
-                names.extend(reversed(list(_climb(above, tips[-1], part.get("base_link", "")))))
+                names.extend(joint.get("name", "")
+                             for joint in reversed(list(climb(above, tips[-1], part.get("base_link", "")))))
             elif part.tag == "joint":
                 names.append(part.get("name", ""))
             elif part.tag == "link" and part.get("name") in above:
@@ -101,19 +100,9 @@ def find_group(source: str | Path, urdf: ElementTree.Element, name: str = "") ->
     return ArmGroup(joints, tips[-1] if tips else ends[joints[-1]])
 
 
-def _climb(above: dict[str, ElementTree.Element], tip: str, base: str) -> Iterator[str]:
-    """List the joints from a link up to another."""
-    for _ in range(len(above)):
-        if tip == base or tip not in above:
-            return
-        yield above[tip].get("name", "")
-        parent = above[tip].find("parent")
-        tip = "" if parent is None else parent.get("link", "")
-
-
 def _parse(source: str | Path) -> tuple[ElementTree.Element, str]:
     """Return the root of an SRDF, its text or path, and a name for messages."""
-    is_text = isinstance(source, str) and source.lstrip("\ufeff \n\r\t").startswith("<")
+    is_text = is_xml(source)
     where = "the text given" if is_text else str(source)[:200]
     try:
         content = str(source).lstrip("\ufeff") if is_text else read_bytes(source, "SRDF", LARGEST_URDF)
