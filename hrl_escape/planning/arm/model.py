@@ -245,7 +245,7 @@ class ArmCollisions:
         links = self._make_links(hand_radius) if _links is None else _links
         self._remake = partial(ArmCollisions, robot, hand_radius, rules=rules, _links=links)
         self._solids, self._near = tuple(solids), dict[tuple[int, int], ArmCollisions]()
-        self._rules = rules
+        self.rules = rules
         geometry = links.copy()
         self._bounds = MotionBounds(self._model, geometry, robot)
         own = len(geometry.geometryObjects)
@@ -261,7 +261,7 @@ class ArmCollisions:
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, other))
         apart = [(i, j) for i in range(own) for j in range(i + 1, own)
                  if not self._is_joined(geometry, i, j) and not self._bounds.is_rigid(i, j)]
-        held = [pair for pair in apart if any(self._name_link(geometry, k) in rules.held for k in pair)]
+        held = [pair for pair in apart if any(self._name_body(geometry.geometryObjects[k]) in rules.held for k in pair)]
         apart = [pair for pair in apart if pair not in held]
         if rules.srdf is None or "<disable_collisions" not in rules.srdf:
             self._keep_clear(geometry, apart)
@@ -275,15 +275,15 @@ class ArmCollisions:
             resting = [(i, floor) for i in tested]
             self._add_pairs(geometry, resting) if rules.stands else self._keep_clear(geometry, resting)
         for pair in geometry.collisionPairs.tolist() if rules.allowed else ():
-            names = [item.name if item.parentJoint == 0 else self._name_link(geometry, k)
-                     for k in (pair.first, pair.second) for item in (geometry.geometryObjects[k],)]
-            if frozenset(names) in rules.allowed:
+            if frozenset(self._name_body(geometry.geometryObjects[k]) for k in (pair.first, pair.second)) \
+                    in rules.allowed:
                 geometry.removeCollisionPair(pair)
         self._geometry = geometry  # the manager refers to it
         self._set_margins(margin, {})
 
-    def _name_link(self, geometry: Any, number: int) -> str:
-        return self._model.frames[geometry.geometryObjects[number].parentFrame].name
+    def _name_body(self, item: Any) -> str:
+        """Return the name of the link that a shape belongs to, or of a solid or the floor."""
+        return self._model.frames[item.parentFrame].name if item.parentJoint else item.name
 
     @staticmethod
     def _add_pairs(geometry: Any, pairs: list[tuple[int, int]]) -> None:
@@ -337,7 +337,7 @@ class ArmCollisions:
 
     def _find_near(self, x: float, y: float) -> ArmCollisions:
         """The same test against the solids that can be reached from a tile of the floor, for a test moves them all."""
-        if len(self._solids) <= FEW_SOLIDS or self._rules.stands:
+        if len(self._solids) <= FEW_SOLIDS or self.rules.stands:
             return self
         reach = float(self.sweeps[-1])  # farthest that any point of the robot is from the base's axis, m
         side = reach / 2
@@ -451,8 +451,8 @@ class ArmCollisions:
 
     def describe(self, pair: frozenset[Key]) -> str:
         """Describe a pair in words, such as `arm-3 to obstacle at (1, 2)`."""
-        links = {item.name: self._model.frames[item.parentFrame].name
-                 for item in self._geometry.geometryObjects.tolist() if item.parentJoint}
+        links = {item.name: self._name_body(item) for item in self._geometry.geometryObjects.tolist()
+                 if item.parentJoint}
         ordered = sorted(pair, key=lambda key: (not isinstance(key, str) or key == "floor", str(key)))
         words = [f"{key.role} at ({key.x:.4g}, {key.y:.4g})" if isinstance(key, Solid)
                  else key.name if isinstance(key, Obstacle) else links.get(key, key) for key in ordered]
@@ -462,13 +462,10 @@ class ArmCollisions:
         """List what meets at a posture, such as `arm-3 meets floor`; arguments as of `is_free`."""
         data, q = self._make_data(self._each), self._make_q(x, y, heading, angles)
         pinocchio.computeCollisions(self._model, self._data, self._geometry, data, q, False)
-
-        def name(number: int) -> str:
-            item = self._geometry.geometryObjects[number]
-            return self._model.frames[item.parentFrame].name if item.parentJoint else item.name
-
+        names = [self._name_body(item) for item in self._geometry.geometryObjects.tolist()]
         pairs = zip(self._geometry.collisionPairs, data.collisionResults, strict=True)
-        return sorted({f"{name(pair.first)} meets {name(pair.second)}" for pair, found in pairs if found.isCollision()})
+        return sorted({f"{names[pair.first]} meets {names[pair.second]}" for pair, found in pairs
+                       if found.isCollision()})
 
     def list_allowed(self) -> list[tuple[str, str, str]]:
         """List pairs of links that may touch: two names, and why, as an SRDF's `reason`.
@@ -480,7 +477,7 @@ class ArmCollisions:
         items = enumerate(self._geometry.geometryObjects.tolist())
         own = [(number, item) for number, item in items if item.parentJoint]  # no solids
         for (i, one), (j, other) in itertools.combinations(own, 2):
-            first, second = (self._model.frames[item.parentFrame].name for item in (one, other))
+            first, second = self._name_body(one), self._name_body(other)
             if first != second and frozenset((i, j)) not in tested:
                 allowed[first, second] = "Adjacent" if self._is_joined(self._geometry, i, j) else "Default"
         return [(first, second, reason) for (first, second), reason in allowed.items()]
@@ -532,8 +529,8 @@ def _make_floor(height: float) -> Any:
 
 def _make_collision_object(number: int, solid: Solid | Obstacle) -> Any:
     if isinstance(solid, Obstacle):
-        geometry = solid.make_geometry()
-        shape = make_surface(solid.file, solid.sizes) if solid.file else make_shape(geometry, solid.name)
+        shape = (make_surface(solid.file, solid.sizes) if solid.file
+                 else make_shape(solid.make_geometry(), solid.name))
         return pinocchio.GeometryObject(solid.name, 0, pinocchio.SE3(solid.placement), shape)
     if solid.shape == "cylinder":
         shape = coal.Cylinder(solid.half_x, solid.height)
