@@ -316,7 +316,7 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
     Attributes:
         reason: one of `PlanningReason`.
         goal: the requested goal, in words.
-        start: start pose (x, y, heading), m and rad.
+        start: start pose of the base (x, y, heading), m and rad; None if no base moves.
         seconds: wall time of the attempt.
         planners: planners that were tried, in order.
         nearest: the closest result, in words; empty if unknown.
@@ -328,7 +328,7 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
         self,
         reason: PlanningReason,
         goal: str,
-        start: tuple[float, float, float],
+        start: tuple[float, float, float] | None = None,
         seconds: float = 0.0,
         planners: tuple[str, ...] = (),
         nearest: str = "",
@@ -337,10 +337,10 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
     ) -> None:
         self.reason, self.goal, self.start, self.seconds = PlanningReason(reason), goal, start, seconds
         self.planners, self.nearest, self.advice, self.expansions = planners, nearest, advice, expansions
-        x, y, heading = start
+        pose = "" if start is None else " from ({:.2f}, {:.2f}) heading {:.2f} rad".format(*start)
         tried = f"; tried {', '.join(planners)} for {seconds:.2f} s" if planners else ""
         super().__init__(
-            f"no plan for {goal} from ({x:.2f}, {y:.2f}) heading {heading:.2f} rad: {self.reason.value}{tried}"
+            f"no plan for {goal}{pose}: {self.reason.value}{tried}"
             + (f"; nearest: {nearest}" if nearest else "")
             + (f". {advice}" if advice else "")
         )

@@ -130,14 +130,14 @@ def _solve(begun: str, options: Sequence[str]) -> list[str]:
 
     domain, problem = begun.find("(define (domain"), begun.find("(define (problem")
     if min(domain, problem) < 0:
-        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the model in the transcript", (0.0, 0.0, 0.0),
+        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the model in the transcript",
                              nearest="no symbolic model in the transcript: the session must reveal the level model")
     text, _, unlike = begun[problem:].partition("Options of actions: ")
     named = {clean_name(option): option for option in options}
     named |= dict(re.findall(r'([a-z0-9_-]+): "([^"]*)"', unlike))
     plan, status = run_engine(read_problem(begun[domain:problem], text), "fast-downward-opt", 60.0)
     if plan is None:
-        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the model in the transcript", (0.0, 0.0, 0.0),
+        raise PlanningFailed(PlanningReason.PRECONDITION_UNMET, "the model in the transcript",
                              nearest=f"status {status}")
     return [named[action.action.name] for action in plan.actions]
 

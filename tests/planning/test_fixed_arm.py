@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pybullet_data
 import pytest
 
 from benchmarks.arm_tasks import (
@@ -157,8 +158,9 @@ def test_a_motion_avoids_an_obstacle_above_the_floor_and_passes_below_it():
     check = ArmCheck(arm)
     assert check.measure_path(around)[0] >= 0.01 - 1e-3
     check.close()
-    with pytest.raises(PlanningFailed, match="left-lower meets beam"):
+    with pytest.raises(PlanningFailed, match="left-lower meets beam") as refused:
         arm.plan("home", goal)
+    assert refused.value.start is None and str(refused.value).startswith("no plan for configuration: ")
     trajectory = arm.trajectory(around)
     times, positions, velocities = trajectory.sample(1000)
     assert np.abs(velocities).max() <= 1.0 + 1e-9 and positions[-1] == pytest.approx(goal)
@@ -197,6 +199,8 @@ def test_an_object_that_is_carried_moves_and_collides_with_the_arm_until_it_is_r
     assert put.robot.urdf.count("rod") == 0
     with pytest.raises(UnknownNameError, match="'rod'"):
         held.attach("rod", "home")
+    cup = arm.add(Obstacle.sphere("Ann's cup", 0.02, (1.0, 0.3, 0.5))).attach("Ann's cup", "home")
+    assert "cup" in cup.robot.urdf and "cup" not in cup.detach("Ann's cup", bent).robot.urdf
 
 
 def test_a_hull_on_disk_is_used_again_while_its_mesh_is_the_same(tmp_path, monkeypatch):
@@ -225,6 +229,10 @@ def test_a_hull_on_disk_is_used_again_while_its_mesh_is_the_same(tmp_path, monke
     cached.write_bytes(good[:32] + bytes(len(good) - 32))  # damaged: its digest is another
     assert not is_free(make_cube("1")) and cached.read_bytes() == good
     assert is_free(make_cube(".1")) and len(list(folder.iterdir())) == 2
+
+    mesh = Path(pybullet_data.getDataPath()) / "franka_panda/meshes/collision/link6.obj"
+    new, again = (shapes._load_hull.__wrapped__(str(mesh), (1.0, 1.0, 1.0), 0, 0) for _ in range(2))
+    assert np.array_equal(new.points(), again.points()), "so that plans do not depend on what is on disk"
 
 
 # --- whole tasks ----------------------------------------------------------------------------------

@@ -112,7 +112,8 @@ class MotionSearch:
         does_base_fit: BaseTest = base.does_fit if base else lambda at, margin: True
 
         def fail(reason: PlanningReason, nearest: str = "") -> PlanningFailed:
-            return PlanningFailed(reason, "configuration", pose, read_clock() - began, (planner,), nearest=nearest)
+            return PlanningFailed(reason, "configuration", None if self._touching.rules.stands else pose,
+                                  read_clock() - began, (planner,), nearest=nearest)
 
         plain = self.get_collisions(CLEARANCE)
         near = [plain.measure_near(*split_coordinates(at, place), within=CLEARANCE) for at in (start, *goals)]
