@@ -38,7 +38,7 @@ from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.files import temporary_folder
 
-_BULLET = load_pybullet()
+pybullet = load_pybullet()
 SUN = (-4.0, 2.6, 9.0)
 """Direction of the light, the same as for the shadows of `meshes.py`."""
 CURB = 0.3
@@ -145,10 +145,10 @@ def _hides(standing: Standing, rules: Kinematics, state: RoomState, eye: tuple[f
 
 def _take(client: int, view: _View, width: int, height: int, trail: Sequence[tuple[float, float]],
           ribbon: float) -> NDArray[np.uint8]:
-    looking = _BULLET.computeViewMatrix(view.eye, view.target, view.up)
-    lens = _BULLET.computeProjectionMatrixFOV(view.field, width / height, view.near, view.far)
-    _, _, colours, depths, bodies = _BULLET.getCameraImage(
-        width, height, looking, lens, shadow=0, renderer=_BULLET.ER_TINY_RENDERER, lightDirection=SUN,
+    looking = pybullet.computeViewMatrix(view.eye, view.target, view.up)
+    lens = pybullet.computeProjectionMatrixFOV(view.field, width / height, view.near, view.far)
+    _, _, colours, depths, bodies = pybullet.getCameraImage(
+        width, height, looking, lens, shadow=0, renderer=pybullet.ER_TINY_RENDERER, lightDirection=SUN,
         lightAmbientCoeff=0.74, lightDiffuseCoeff=0.27, lightSpecularCoeff=0.0, physicsClientId=client,
     )
     picture = np.reshape(colours, (height, width, 4))[..., :3].astype(np.uint8)
@@ -333,8 +333,8 @@ class Stage:
         self.client = connect(window)
         self.close = weakref.finalize(self, disconnect, self.client)
         if window:
-            for flag in (_BULLET.COV_ENABLE_GUI, _BULLET.COV_ENABLE_RENDERING):
-                _BULLET.configureDebugVisualizer(flag, 0, physicsClientId=self.client)
+            for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
+                pybullet.configureDebugVisualizer(flag, 0, physicsClientId=self.client)
         self.roles: dict[int, str] = {}
         self._colours: dict[int, str] = {}
         self.standing: list[Standing] = []
@@ -358,14 +358,14 @@ class Stage:
         for role, mesh in meshes.make_floor(instance, model.solids).items():
             self._add(mesh, role)
         if window:
-            _BULLET.configureDebugVisualizer(_BULLET.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
+            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
 
     # --- following the room ------------------------------------------------------------
 
     def follow(self, state: RoomState) -> None:
         """Update the copy to a state."""
         pose, look, model = self.model.make_pose(state), self.model.make_look(state), self.model
-        turn = _BULLET.getQuaternionFromEuler((pose.roll, pose.pitch, pose.heading))
+        turn = pybullet.getQuaternionFromEuler((pose.roll, pose.pitch, pose.heading))
         at = (pose.x, pose.y, pose.z)
         for body in self._base:
             self._place(body, at, turn)
@@ -373,7 +373,7 @@ class Stage:
         if self._arm is not None:
             self._place(self._arm, at, turn)
             for joint, angle in self.model.rules.robot.compute_values(pose.angles).items():
-                _BULLET.resetJointState(self._arm, self._joints[joint], angle, physicsClientId=self.client)
+                pybullet.resetJointState(self._arm, self._joints[joint], angle, physicsClientId=self.client)
         for body, shadow, (x, y, z, *turn) in zip(self._props, self._prop_shadows, pose.props, strict=True):
             self._place(body, (x, y, z), turn)
             if shadow is not None:
@@ -381,7 +381,7 @@ class Stage:
         if self._leaf is not None and model.instance.door is not None:
             yaw = model.instance.door.yaw + pose.door
             self._leaf.shape = model.place_leaf(0.0).shape  # the shut door decides whether the view is cut
-            self._move(self._leaf, (*model.hinge, 0.0), _BULLET.getQuaternionFromEuler((0.0, 0.0, yaw)))
+            self._move(self._leaf, (*model.hinge, 0.0), pybullet.getQuaternionFromEuler((0.0, 0.0, yaw)))
         for standing, is_shut in zip(self._inner_doors, look.shut, strict=True):
             self._move(standing, (0.0, 0.0, 0.0) if is_shut else _AWAY, _STILL)
         for standing, mat, is_lit in zip(self._panels, self._mats, look.lit, strict=True):
@@ -410,14 +410,14 @@ class Stage:
             self._place(body, *(standing.pose if standing.is_cut else (_AWAY, _STILL)))
 
     def _place(self, body: int, at: Sequence[float], turn: Sequence[float]) -> None:
-        _BULLET.resetBasePositionAndOrientation(body, at, turn, physicsClientId=self.client)
+        pybullet.resetBasePositionAndOrientation(body, at, turn, physicsClientId=self.client)
 
     def _paint(self, body: int, role: str) -> None:
         colour = palette.LOOKS[role]
         if colour == self._colours[body]:
             return
         self._colours[body] = colour
-        _BULLET.changeVisualShape(body, -1, rgbaColor=(*palette.to_rgb(colour), 1.0), physicsClientId=self.client)
+        pybullet.changeVisualShape(body, -1, rgbaColor=(*palette.to_rgb(colour), 1.0), physicsClientId=self.client)
 
     # --- building ----------------------------------------------------------------------
 
@@ -425,7 +425,7 @@ class Stage:
         colour = colour or palette.LOOKS[role]
         shape = create_mesh_shape(self.client, mesh, (*palette.to_rgb(colour), 1.0))
         at = (0.0, 0.0, 0.0) if shown else _AWAY
-        body = _BULLET.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
+        body = pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
         self.roles[body], self._colours[body] = role, colour
         return body
 
@@ -462,10 +462,10 @@ class Stage:
             cylinder.write_text(meshes.format_obj(make_cylinder(1.0, -0.5, 0.5)))
             urdf = folder / "arm.urdf"
             urdf.write_text(_adapt_urdf(robot, self.model.instance.robot, str(cylinder), folder))
-            body = _BULLET.loadURDF(str(urdf), physicsClientId=self.client)
+            body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
         numbers = {}
-        for index in range(_BULLET.getNumJoints(body, physicsClientId=self.client)):
-            numbers[_BULLET.getJointInfo(body, index, physicsClientId=self.client)[1].decode()] = index
+        for index in range(pybullet.getNumJoints(body, physicsClientId=self.client)):
+            numbers[pybullet.getJointInfo(body, index, physicsClientId=self.client)[1].decode()] = index
         self.roles[body] = "arm"
         return body, numbers
 
@@ -537,6 +537,6 @@ def create_mesh_shape(client: int, mesh: Mesh, colour: tuple[float, ...]) -> int
     """Make a matt visual shape of a colour (red, green, blue and opacity, 0 to 1) in a client; return its id."""
     with _LOCK:
         _INDICES[:] = mesh.triangles.ravel().tolist()
-        return _BULLET.createVisualShape(_BULLET.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices),
+        return pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices),
                                           normals=_NORMALS.fill(mesh.normals), indices=_INDICES, rgbaColor=colour,
                                           specularColor=(0, 0, 0), physicsClientId=client)

@@ -38,7 +38,7 @@ from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.errors import StateError, UnsupportedError, show_value
 from hrl_escape.files import temporary_folder
 
-_BULLET = load_pybullet()
+pybullet = load_pybullet()
 RATE = 240
 """Sub-steps of Bullet per second of simulated time."""
 PRESS_FORCE = 5.0
@@ -111,7 +111,7 @@ class PhysicsDynamics:
         self._reach = rules.instance.reach_x, rules.instance.reach_y
         self._targets = {body: number for number, body in enumerate(scene.targets)}
         if scene.door is not None:
-            self._door_pose = _BULLET.getBasePositionAndOrientation(scene.door, physicsClientId=client)
+            self._door_pose = pybullet.getBasePositionAndOrientation(scene.door, physicsClientId=client)
         self._by_hand = self._instance.dynamics.press_with == "hand"
         self._hand_reach = self._instance.robot.hand_radius + self._instance.dynamics.press_margin
         self._touches: set[tuple[int, int]] = set()
@@ -119,24 +119,24 @@ class PhysicsDynamics:
 
     def _configure(self) -> None:
         client, scene = self.client, self.scene
-        _BULLET.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
         # Sorted pairs make contacts independent of history. Without inner iterations Bullet solves the motors only
         # once as soon as there is a contact, and a loaded arm sags by degrees.
-        _BULLET.setPhysicsEngineParameter(fixedTimeStep=1 / RATE, deterministicOverlappingPairs=1,
+        pybullet.setPhysicsEngineParameter(fixedTimeStep=1 / RATE, deterministicOverlappingPairs=1,
                                            numNonContactInnerIterations=5, physicsClientId=client)
         mass = 0.0
-        for link in range(-1, _BULLET.getNumJoints(scene.robot, physicsClientId=client)):
-            _BULLET.changeDynamics(scene.robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+        for link in range(-1, pybullet.getNumJoints(scene.robot, physicsClientId=client)):
+            pybullet.changeDynamics(scene.robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
                                     physicsClientId=client)
-            mass += _BULLET.getDynamicsInfo(scene.robot, link, physicsClientId=client)[0]
+            mass += pybullet.getDynamicsInfo(scene.robot, link, physicsClientId=client)[0]
         force = mass * _ACCELERATION
         self._drive_forces = (force, force, force)
-        efforts = (_BULLET.getJointInfo(scene.robot, joint, physicsClientId=client)[10] for joint in scene.joints)
+        efforts = (pybullet.getJointInfo(scene.robot, joint, physicsClientId=client)[10] for joint in scene.joints)
         self._efforts = tuple(effort or _JOINT_EFFORT for effort in efforts)
         for body in (*(body for body, _ in self.scene.blocks), *scene.floors):
-            _BULLET.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
+            pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
         for joint, angle in scene.rest_joints:
-            _BULLET.setJointMotorControl2(scene.robot, joint, _BULLET.POSITION_CONTROL, targetPosition=angle,
+            pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, targetPosition=angle,
                                            force=_JOINT_EFFORT, physicsClientId=client)
 
     # --- states ----------------------------------------------------------------------------
@@ -190,48 +190,48 @@ class PhysicsDynamics:
                   *((joint, factor * angles[i] + offset, factor * physics.joint_velocities[i])
                     for joint, i, factor, offset in scene.mimics))
         for joint, position, velocity in joints:
-            _BULLET.resetJointState(scene.robot, joint, position, velocity, client)
+            pybullet.resetJointState(scene.robot, joint, position, velocity, client)
         if scene.door is not None:
-            _BULLET.resetJointState(scene.door, 0, *physics.door, client)
+            pybullet.resetJointState(scene.door, 0, *physics.door, client)
         for body, numbers in self.scene.blocks:
             pose = physics.props[numbers]
-            _BULLET.resetBasePositionAndOrientation(body, pose[:3], pose[3:7], client)
-            _BULLET.resetBaseVelocity(body, pose[7:10], pose[10:], client)
+            pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:7], client)
+            pybullet.resetBaseVelocity(body, pose[7:10], pose[10:], client)
 
     def _forget_contacts(self) -> None:
         """Move all movable bodies apart and back, which makes Bullet drop its cached contacts and pairs."""
         client, scene = self.client, self.scene
         bodies = (scene.robot, *(body for body, _ in self.scene.blocks))
         for number, body in enumerate(bodies):
-            _BULLET.resetBasePositionAndOrientation(body, (0.0, 0.0, _AWAY * (number + 1)), _UPRIGHT, client)
+            pybullet.resetBasePositionAndOrientation(body, (0.0, 0.0, _AWAY * (number + 1)), _UPRIGHT, client)
         if scene.door is not None:
-            _BULLET.resetBasePositionAndOrientation(scene.door, (0.0, 0.0, -_AWAY), self._door_pose[1], client)
-        _BULLET.performCollisionDetection(client)
-        _BULLET.resetBasePositionAndOrientation(scene.robot, (0.0, 0.0, 0.0), _UPRIGHT, client)
+            pybullet.resetBasePositionAndOrientation(scene.door, (0.0, 0.0, -_AWAY), self._door_pose[1], client)
+        pybullet.performCollisionDetection(client)
+        pybullet.resetBasePositionAndOrientation(scene.robot, (0.0, 0.0, 0.0), _UPRIGHT, client)
         if scene.door is not None:
-            _BULLET.resetBasePositionAndOrientation(scene.door, *self._door_pose, client)
+            pybullet.resetBasePositionAndOrientation(scene.door, *self._door_pose, client)
 
     def _read(self, before: RoomState, pressed: int) -> RoomState:
         """State after the motion, before presses are judged."""
         client, scene, rules = self.client, self.scene, self._rules
-        drives = _BULLET.getJointStates(scene.robot, scene.drives, client)
+        drives = pybullet.getJointStates(scene.robot, scene.drives, client)
         x, y, heading = (drive[0] for drive in drives)
         reach_x, reach_y = self._reach  # contact with the alcove's far wall yields by a millimetre beyond the exit
         x, y = min(max(x, -reach_x), reach_x), min(max(y, -reach_y), reach_y)
         steps, offset = rules.split_heading(heading)
-        joints = _BULLET.getJointStates(scene.robot, scene.joints, client) if scene.joints else ()
+        joints = pybullet.getJointStates(scene.robot, scene.joints, client) if scene.joints else ()
         joint_steps, joint_offsets = rules.split_angles(joint[0] for joint in joints)
         door = ()
         if scene.door is not None:
-            door = _BULLET.getJointState(scene.door, 0, client)[:2]
+            door = pybullet.getJointState(scene.door, 0, client)[:2]
         props = list((before.physics or self._make_rest()).props)
         moved = self._find_moved(tuple(props))
         for body, number in self.scene.blocks:
             if body not in moved:  # resting contacts drift by micrometres in every primitive
                 props[number] = (*props[number][:7], *(0.0,) * 6)
                 continue
-            position, turn = _BULLET.getBasePositionAndOrientation(body, client)
-            velocity, spin = _BULLET.getBaseVelocity(body, client)
+            position, turn = pybullet.getBasePositionAndOrientation(body, client)
+            velocity, spin = pybullet.getBaseVelocity(body, client)
             props[number] = (*position, *turn, *velocity, *spin)
         physics = PhysicsState(tuple(drive[1] for drive in drives), tuple(joint[1] for joint in joints), door,
                                tuple(props))
@@ -281,16 +281,16 @@ class PhysicsDynamics:
         held = (*zip(scene.joints, angles, self._efforts, strict=True),
                 *((joint, factor * angles[i] + offset, _JOINT_EFFORT) for joint, i, factor, offset in scene.mimics))
         for joint, angle, effort in held:
-            _BULLET.setJointMotorControl2(scene.robot, joint, _BULLET.POSITION_CONTROL, angle, 0.0, effort,
+            pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, angle, 0.0, effort,
                                            _POSITION_GAIN, 1.0, physicsClientId=client)
         if scene.door is not None:
-            angle = _BULLET.getJointState(scene.door, 0, client)[0]
+            angle = pybullet.getJointState(scene.door, 0, client)[0]
             if self._instance.puzzle.is_solved(state.puzzle):
-                _BULLET.setJointMotorControl2(scene.door, 0, _BULLET.VELOCITY_CONTROL, targetVelocity=0.0,
+                pybullet.setJointMotorControl2(scene.door, 0, pybullet.VELOCITY_CONTROL, targetVelocity=0.0,
                                                force=_HINGE_FRICTION, physicsClientId=client)
             else:
                 force = _HINGE_LOCK if abs(angle) < _LOCKED_WITHIN else _HINGE_CLOSER
-                _BULLET.setJointMotorControl2(scene.door, 0, _BULLET.POSITION_CONTROL, 0.0, 0.0, force,
+                pybullet.setJointMotorControl2(scene.door, 0, pybullet.POSITION_CONTROL, 0.0, 0.0, force,
                                                0.1, 1.0, _CLOSING_SPEED, physicsClientId=client)
 
     def _drive(self, state: RoomState, primitive: Primitive, scale: float) -> int:
@@ -324,26 +324,26 @@ class PhysicsDynamics:
         self._touches = set()
         for rate in profile:
             drive = 0.0 if is_wedged else rate
-            _BULLET.setJointMotorControlArray(scene.robot, scene.drives, _BULLET.VELOCITY_CONTROL,
+            pybullet.setJointMotorControlArray(scene.robot, scene.drives, pybullet.VELOCITY_CONTROL,
                                                targetVelocities=[drive * part for part in way],
                                                forces=self._drive_forces, physicsClientId=client)
             for joint, angle, change in joints:
-                _BULLET.setJointMotorControl2(scene.robot, scene.joints[joint], _BULLET.POSITION_CONTROL,
+                pybullet.setJointMotorControl2(scene.robot, scene.joints[joint], pybullet.POSITION_CONTROL,
                                                angle + done * change, rate * change, self._efforts[joint],
                                                _POSITION_GAIN, 1.0, physicsClientId=client)
                 for follower, i, factor, offset in scene.mimics:
                     if i == joint:
-                        _BULLET.setJointMotorControl2(
-                            scene.robot, follower, _BULLET.POSITION_CONTROL, factor * (angle + done * change) + offset,
+                        pybullet.setJointMotorControl2(
+                            scene.robot, follower, pybullet.POSITION_CONTROL, factor * (angle + done * change) + offset,
                             factor * rate * change, _JOINT_EFFORT, _POSITION_GAIN, 1.0, physicsClientId=client)
             done += rate / RATE
-            _BULLET.stepSimulation(client)
-            points = _BULLET.getContactPoints(scene.robot, physicsClientId=client)
+            pybullet.stepSimulation(client)
+            points = pybullet.getContactPoints(scene.robot, physicsClientId=client)
             pressed |= self._find_pressed(points)
             before, depth = depth, max((-point[8] for point in points if point[3] == scene.base_link), default=0.0)
             is_wedged |= depth > max(_WEDGED, before)
             for body, _ in self.scene.blocks:
-                self._touches |= {(body, point[2]) for point in _BULLET.getContactPoints(body, physicsClientId=client)
+                self._touches |= {(body, point[2]) for point in pybullet.getContactPoints(body, physicsClientId=client)
                                   if point[9] > 0.0}
         return pressed
 
@@ -369,7 +369,7 @@ class PhysicsDynamics:
     def _is_presser(self, link: int, at: tuple[float, float, float]) -> bool:
         if not self._by_hand:
             return link == self.scene.base_link
-        hand = _BULLET.getLinkState(self.scene.robot, self.scene.hand_link, computeForwardKinematics=1,
+        hand = pybullet.getLinkState(self.scene.robot, self.scene.hand_link, computeForwardKinematics=1,
                                      physicsClientId=self.client)[4]
         return link != self.scene.base_link and math.dist(hand, at) <= self._hand_reach
 
@@ -390,7 +390,7 @@ def _make_profile(seconds: float) -> tuple[float, ...]:
 def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodies:
     """Build the room in an empty Bullet world, everything in its initial pose."""
     # Mode 0: two bodies collide only if both masks allow it. By default one mask is enough.
-    _BULLET.setPhysicsEngineParameter(collisionFilterMode=0, physicsClientId=client)
+    pybullet.setPhysicsEngineParameter(collisionFilterMode=0, physicsClientId=client)
     floors = tuple(_add_floor(client, area) for area in compute_floors(instance))
     solids = tuple(_add_solid(client, solid) for solid in instance.solids)
     door = instance.door and _add_door(client, instance.door)
@@ -404,17 +404,17 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodie
 
 def _add_box(client: int, half: tuple[float, float, float], at: tuple[float, float, float], yaw: float, group: int,
              mask: int, mass: float = 0.0) -> int:
-    shape = _BULLET.createCollisionShape(_BULLET.GEOM_BOX, halfExtents=half, physicsClientId=client)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
     return _add_body(client, shape, at, yaw, group, mask, mass)
 
 
 def _add_body(client: int, shape: int, at: tuple[float, float, float], yaw: float, group: int, mask: int,
               mass: float = 0.0) -> int:
     turn = (0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
-    body = _BULLET.createMultiBody(mass, shape, -1, at, turn, physicsClientId=client)
-    _BULLET.setCollisionFilterGroupMask(body, -1, group, mask, physicsClientId=client)
+    body = pybullet.createMultiBody(mass, shape, -1, at, turn, physicsClientId=client)
+    pybullet.setCollisionFilterGroupMask(body, -1, group, mask, physicsClientId=client)
     # Bullet's default margin rounds the corners of boxes by up to 0.4 mm.
-    _BULLET.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=client)
+    pybullet.changeDynamics(body, -1, collisionMargin=0.0, physicsClientId=client)
     return body
 
 
@@ -428,7 +428,7 @@ def _add_solid(client: int, solid: Solid) -> int:
     at = (solid.x, solid.y, solid.height / 2)
     if solid.shape == "box":
         return _add_box(client, (solid.half_x, solid.half_y, solid.height / 2), at, solid.yaw, _FIXED, _FREE)
-    shape = _BULLET.createCollisionShape(_BULLET.GEOM_CYLINDER, radius=solid.half_x, height=solid.height,
+    shape = pybullet.createCollisionShape(pybullet.GEOM_CYLINDER, radius=solid.half_x, height=solid.height,
                                           physicsClientId=client)
     return _add_body(client, shape, at, solid.yaw, _FIXED, _FREE)
 
@@ -436,21 +436,21 @@ def _add_solid(client: int, solid: Solid) -> int:
 def _add_door(client: int, door: Solid) -> int:
     """A leaf hinged at one end of the doorway. It swings through walls, but not through the robot."""
     half, middle = (door.half_x, door.half_y, door.height / 2), (door.half_x, 0.0, 0.0)
-    shape = _BULLET.createCollisionShape(_BULLET.GEOM_BOX, halfExtents=half, collisionFramePosition=middle,
+    shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, collisionFramePosition=middle,
                                           physicsClientId=client)
     cos, sin = math.cos(door.yaw), math.sin(door.yaw)
-    body = _BULLET.createMultiBody(
+    body = pybullet.createMultiBody(
         0.0, -1, -1, (door.x - cos * door.half_x, door.y - sin * door.half_x, door.height / 2),
         (0.0, 0.0, math.sin(door.yaw / 2), math.cos(door.yaw / 2)),
         linkMasses=[20.0], linkCollisionShapeIndices=[shape], linkVisualShapeIndices=[-1],
         linkPositions=[(0.0, 0.0, 0.0)], linkOrientations=[(0.0, 0.0, 0.0, 1.0)],
         linkInertialFramePositions=[middle], linkInertialFrameOrientations=[(0.0, 0.0, 0.0, 1.0)],
-        linkParentIndices=[0], linkJointTypes=[_BULLET.JOINT_REVOLUTE], linkJointAxis=[(0.0, 0.0, 1.0)],
+        linkParentIndices=[0], linkJointTypes=[pybullet.JOINT_REVOLUTE], linkJointAxis=[(0.0, 0.0, 1.0)],
         physicsClientId=client,
     )
-    _BULLET.changeDynamics(body, 0, collisionMargin=0.0, jointLowerLimit=-HINGE_LIMIT, jointUpperLimit=HINGE_LIMIT,
+    pybullet.changeDynamics(body, 0, collisionMargin=0.0, jointLowerLimit=-HINGE_LIMIT, jointUpperLimit=HINGE_LIMIT,
                             physicsClientId=client)
-    _BULLET.setCollisionFilterGroupMask(body, 0, _FIXED, _FREE, physicsClientId=client)
+    pybullet.setCollisionFilterGroupMask(body, 0, _FIXED, _FREE, physicsClientId=client)
     return body
 
 
@@ -466,25 +466,25 @@ def _add_block(client: int, placed: PlacedProp) -> int:
 
 def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
     """Load the robot and return its fields of `SceneBodies`."""
-    flags = _BULLET.URDF_USE_IMPLICIT_CYLINDER | _BULLET.URDF_USE_INERTIA_FROM_FILE
+    flags = pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE
     with temporary_folder() as folder:
         (folder / "robot.urdf").write_text(_adapt_urdf(robot, instance.robot, folder))
-        body = _BULLET.loadURDF(str(folder / "robot.urdf"), useFixedBase=True, flags=flags, physicsClientId=client)
+        body = pybullet.loadURDF(str(folder / "robot.urdf"), useFixedBase=True, flags=flags, physicsClientId=client)
     links, joints, moving = {}, {}, {}
-    for index in range(_BULLET.getNumJoints(body, physicsClientId=client)):
-        info = _BULLET.getJointInfo(body, index, physicsClientId=client)
+    for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
+        info = pybullet.getJointInfo(body, index, physicsClientId=client)
         links[info[12].decode()], joints[info[1].decode()] = index, index
-        if info[2] != _BULLET.JOINT_FIXED:
+        if info[2] != pybullet.JOINT_FIXED:
             moving[info[1].decode()] = index
     base = links[BASE_LINK]
-    _BULLET.changeDynamics(body, base, collisionMargin=0.0, physicsClientId=client)
+    pybullet.changeDynamics(body, base, collisionMargin=0.0, physicsClientId=client)
     # The arm may lean on the ground. The carriage carries the base, whose own friction would count twice.
     for link in range(-1, len(joints)):
         mask = _FREE | _FIXED | (0 if link == base else _GROUND)
-        _BULLET.setCollisionFilterGroupMask(body, link, _FREE, mask, physicsClientId=client)
+        pybullet.setCollisionFilterGroupMask(body, link, _FREE, mask, physicsClientId=client)
     rest = tuple((index, robot.rest[name]) for name, index in moving.items() if name in robot.rest)
     for index, angle in rest:
-        _BULLET.resetJointState(body, index, angle, physicsClientId=client)
+        pybullet.resetJointState(body, index, angle, physicsClientId=client)
     return {
         "robot": body,
         "base_link": base,
