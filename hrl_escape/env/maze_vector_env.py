@@ -41,9 +41,9 @@ class PointMazeVectorEnv(VectorEnv):
         super().__init__()
         if output not in ("numpy", "torch"):
             raise ConfigError("output", output, "'numpy' or 'torch'")
-        self._arguments = {"maze": maze, "reward": reward, "time_step": time_step, "speed": speed,
-                           "max_steps": check_steps(max_steps, maze)}
         self._maze, self._most_steps = Maze(maze, reward, time_step, speed), check_steps(max_steps, maze)
+        self._arguments = {"maze": maze, "reward": reward, "time_step": time_step, "speed": speed,
+                           "max_steps": self._most_steps}
         self.num_envs, self._is_numpy, self._device = num_envs, output == "numpy", torch.device(device)
         self.single_observation_space, self.single_action_space = self._maze.make_spaces()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -68,24 +68,23 @@ class PointMazeVectorEnv(VectorEnv):
         super().reset(seed=seed)
         self._generator.manual_seed(int(self.np_random.integers(2**62)))
         self._begin(torch.ones(self.num_envs, dtype=torch.bool, device=self._device))
-        return self._observe(), self._inform(torch.zeros_like(self._steps, dtype=torch.bool))
+        return self._observe(), self._inform()
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Move every point for one time step; actions are floats (num_envs, 2)."""
+        """Move every point for one time step; actions are finite floats (num_envs, 2), else it raises `BatchError`."""
         rates = torch.as_tensor(actions, dtype=torch.float32, device=self._device)
-        if rates.shape != (self.num_envs, 2):
-            raise BatchError("action", actions, f"numbers of shape ({self.num_envs}, 2)")
+        if rates.shape != (self.num_envs, 2) or not bool(torch.isfinite(rates).all()):
+            raise BatchError("action", actions, f"finite numbers of shape ({self.num_envs}, 2)")
         self._point = self._maze.move(self._point, rates.clamp(-1, 1))
         self._steps = self._steps + 1
         reward, terminated = self._maze.judge(self._point, self._goal)
         truncated = (self._steps >= self._most_steps) & ~terminated
-        over, infos = terminated | truncated, self._inform(terminated)
+        over, infos = terminated | truncated, self._inform()  # a maze whose goal was reached has a new episode
         if bool(over.any()):
-            infos = infos | {"final_obs": self._observe(), "final_info": self._inform(terminated),
-                             "_final_obs": self._give(over), "_final_info": self._give(over)}
+            infos |= {"final_obs": self._observe(), "final_info": self._inform(terminated),
+                      "_final_obs": self._give(over), "_final_info": self._give(over)}
             self._begin(over)
-            infos["is_success"] = self._give(terminated & ~over)
-        return (self._observe(), self._give(reward.float()), self._give(terminated), self._give(truncated), infos)
+        return self._observe(), self._give(reward.float()), self._give(terminated), self._give(truncated), infos
 
     def _begin(self, which: Tensor) -> None:
         """Draw starts and goals of some mazes, bool (num_envs,)."""
@@ -95,8 +94,10 @@ class PointMazeVectorEnv(VectorEnv):
         self._goal = torch.where(which[:, None], goal, self._goal)
         self._steps = torch.where(which, 0, self._steps)
 
-    def _inform(self, is_success: Tensor) -> dict[str, Any]:
-        return {"is_success": self._give(is_success), "_is_success": self._give(torch.ones_like(is_success))}
+    def _inform(self, is_success: Tensor | None = None) -> dict[str, Any]:
+        """Return the information of all mazes, without success by default."""
+        success = torch.zeros_like(self._steps, dtype=torch.bool) if is_success is None else is_success
+        return {"is_success": self._give(success), "_is_success": self._give(torch.ones_like(success))}
 
     def _observe(self) -> dict[str, Any]:
         parts = {"observation": self._point, "achieved_goal": self._point, "desired_goal": self._goal}

@@ -15,7 +15,7 @@ from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
 from hrl_escape.env.presets import FOUR_ROOMS
-from hrl_escape.errors import ClosedError, ConfigError, UnknownNameError
+from hrl_escape.errors import ConfigError, ResetNeededError, UnknownNameError
 
 MAPS: dict[str, tuple[str, ...]] = {
     "u": ("   ", "## ", "   "),
@@ -154,16 +154,16 @@ class PointMazeEnv(gymnasium.Env, EzPickle):
     def __init__(self, maze: str = "u", reward: str = "sparse", time_step: float = 0.1, speed: float = 2.0,
                  max_steps: int | None = None) -> None:
         EzPickle.__init__(self, maze, reward, time_step, speed, max_steps)
-        self._arguments = {"maze": maze, "reward": reward, "time_step": time_step, "speed": speed}
-        self._maze = Maze(maze, reward, time_step, speed)
-        self._most_steps = check_steps(max_steps, maze)
+        self._maze, self._most_steps = Maze(maze, reward, time_step, speed), check_steps(max_steps, maze)
+        self._arguments = {"maze": maze, "reward": reward, "time_step": time_step, "speed": speed,
+                           "max_steps": self._most_steps}
         self.observation_space, self.action_space = self._maze.make_spaces()
         self._point = self._goal = np.full((1, 2), np.nan)
         self._steps = -1
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that determine its numbers."""
-        return self._arguments | {"max_steps": self._most_steps}
+        return dict(self._arguments)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
@@ -179,10 +179,10 @@ class PointMazeEnv(gymnasium.Env, EzPickle):
 
         Raises:
             ConfigError: the action has another shape, or a number that is not finite.
-            ClosedError: no episode has begun.
+            ResetNeededError: no episode has begun.
         """
         if self._steps < 0:
-            raise ClosedError("no episode has begun. Call reset() first")
+            raise ResetNeededError("call reset() first: no episode has begun")
         rates = np.asarray(action, np.float64)
         if rates.shape != (2,) or not np.isfinite(rates).all():
             raise ConfigError("action", action, "2 finite numbers")

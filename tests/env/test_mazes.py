@@ -7,7 +7,7 @@ import torch
 from gymnasium.utils.env_checker import check_env
 
 from hrl_escape.env.mazes import MAPS, REACH, STEPS, Maze
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import BatchError, ConfigError, ResetNeededError, UnknownNameError
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -76,3 +76,9 @@ def test_wrong_arguments_are_refused():
     with pytest.raises(ConfigError, match="below 1 m in a step"):
         Maze("u", speed=20.0)
     assert set(STEPS) == set(MAPS)
+    one, many = (make("hrl_escape/PointMaze-v1") for make in (gymnasium.make, gymnasium.make_vec))
+    with pytest.raises(ResetNeededError):
+        one.unwrapped.step(np.zeros(2))
+    many.reset(seed=0)
+    with pytest.raises(BatchError, match=r"finite numbers of shape \(1, 2\)"):
+        many.step(torch.tensor([[torch.nan, 0.0]]))
