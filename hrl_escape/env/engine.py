@@ -7,6 +7,7 @@ they are first used. Batches of rooms are in `vector_env.py` and `torchrl_env.py
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
 from pkgutil import resolve_name
 from typing import NamedTuple, Protocol
 
@@ -125,14 +126,14 @@ class LateRenderer:
 
     def __init__(self, instance: RoomInstance, place: str) -> None:
         self._instance, self._place = instance, place
-        self._renderer: Renderer | None = None
+
+    @cached_property
+    def _renderer(self) -> Renderer:
+        return resolve_name(self._place)(self._instance)
 
     def render(self, state: RoomState, camera: str, width: int, height: int, *,
                trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
         """Take a picture of the room in a state; see `Renderer`."""
-        if self._renderer is None:
-            self._renderer = resolve_name(self._place)(self._instance)
-        assert self._renderer is not None
         return self._renderer.render(state, camera, width, height, trail=trail)
 
 

@@ -510,7 +510,7 @@ def _check_centres(instance: RoomInstance) -> None:
 
 def _describe_floor(instance: RoomInstance) -> str:
     alcove = "" if instance.door is None else ", or in the alcove behind the exit door"
-    return (f"a centre on the floor, |x| <= {instance.half_width:g} m and |y| <= {instance.half_depth:g} m{alcove}")
+    return f"a centre on the floor, |x| <= {instance.half_width:g} m and |y| <= {instance.half_depth:g} m{alcove}"
 
 
 def does_base_fit(robot: RobotConfig, pose: Start, solids: Sequence[Footprint]) -> bool:

@@ -83,7 +83,7 @@ def list_cues(puzzle: Puzzle) -> list[tuple[str, list[tuple[float, float]]]]:
         turns = [math.tau * (number / corners[shape] + 0.25) for number in range(corners[shape])]
         radii = [(0.4, 0.7, 1.0)[size] * (0.42 if shape == 3 and number % 2 else 1.0) for number in range(len(turns))]
         found.append((CUE_COLOURS[colour], [(radius * math.cos(turn), radius * math.sin(turn))
-                                      for radius, turn in zip(radii, turns, strict=True)]))
+                                            for radius, turn in zip(radii, turns, strict=True)]))
     return found
 
 

@@ -24,9 +24,9 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.registry import Registry
 from hrl_escape.settings import Range
 
-__all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", "NoPuzzle", "Pads",
-           "Panels", "Place", "Prop",
-           "Puzzle", "PuzzleConfig", "PuzzleKind", "Success", "get_puzzle_kind", "list_puzzles", "register_puzzle"]
+__all__ = ["MOST_DERIVED", "PUSH", "SOLVED", "USE", "Contacts", "DerivedModel", "NoPuzzle", "Pads", "Panels", "Place",
+           "Prop", "Puzzle", "PuzzleConfig", "PuzzleKind", "Success", "get_puzzle_kind", "list_puzzles",
+           "register_puzzle"]
 
 MOST_DERIVED = 20_000
 """Largest number of states of a derived symbolic model."""
