@@ -15,6 +15,7 @@ from hrl_escape.env.kinematics import EpisodeEnd, RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.env.rewards import Events
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.options.domain import find_layer
 
 
 class PrimitiveStep(NamedTuple):
@@ -103,8 +104,7 @@ def find_recorder(env: gymnasium.Env) -> StateRecorder:
     Raises:
         UnsupportedError: no recorder among the wrappers.
     """
-    while isinstance(env, gymnasium.Wrapper):
-        if isinstance(env, StateRecorder):
-            return env
-        env = env.env
-    raise UnsupportedError(f"nothing records the states of {env}")
+    found = find_layer(env, StateRecorder)
+    if found is None:
+        raise UnsupportedError(f"nothing records the states of {env}")
+    return found

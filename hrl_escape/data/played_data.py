@@ -10,9 +10,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from hrl_escape.agents.agent import set_option_discount
 from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
 from hrl_escape.data.materialise import DataLevel, discount_rewards
 from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.options.domain import find_layer
 from hrl_escape.options.options_env import OptionsEnv
 
 
@@ -93,22 +95,10 @@ class PlayedData:
 
     def make_env(self, options: bool, gamma: float) -> gymnasium.Env:
         """Return the environment for tests, with the actions of the decisions or of the primitives."""
-        if self.env.has_wrapper_attr("set_option_discount"):
-            if not options:
-                return find_options_env(self.env).env
-            self.env.get_wrapper_attr("set_option_discount")(gamma)
+        if not options and self.env.has_wrapper_attr("set_option_discount"):
+            level = find_layer(self.env, OptionsEnv)
+            if level is None:
+                raise UnsupportedError(f"{self.env} has no options: wrap it in OptionsEnv(env, options)")
+            return level.env
+        set_option_discount(self.env, gamma)
         return self.env
-
-
-def find_options_env(env: gymnasium.Env) -> OptionsEnv:
-    """Return the outermost `OptionsEnv` of an environment.
-
-    Raises:
-        UnsupportedError: there is none.
-    """
-    here: Any = env
-    while isinstance(here, gymnasium.Wrapper):
-        if isinstance(here, OptionsEnv):
-            return here
-        here = here.env
-    raise UnsupportedError(f"{env} has no options: wrap it in OptionsEnv(env, options)")

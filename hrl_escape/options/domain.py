@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -59,6 +59,10 @@ class RoomEnv(Protocol):
         ...
 
 
+Layer = TypeVar("Layer")
+"""Kind of a wrapper."""
+
+
 @runtime_checkable
 class OptionLevel(Protocol):
     """An environment of options, as a higher level uses it."""
@@ -87,7 +91,7 @@ class OptionDomain:
 
     def __init__(self, env: gymnasium.Env) -> None:
         self.env = env
-        self.lower = _find_lower(env)
+        self.lower = find_layer(env, OptionLevel)
         self._discrete = env.action_space if isinstance(env.action_space, spaces.Discrete) else None
 
     @property
@@ -323,9 +327,10 @@ def make_option_domain(env: gymnasium.Env) -> OptionDomain:
     return RoomDomain(env) if isinstance(env.unwrapped, RoomEnv) else OptionDomain(env)
 
 
-def _find_lower(env: gymnasium.Env) -> OptionLevel | None:
+def find_layer(env: Any, kind: type[Layer]) -> Layer | None:
+    """Return the outermost wrapper of an environment that is of a kind, or None."""
     while isinstance(env, gymnasium.Wrapper):
-        if isinstance(env, OptionLevel):
+        if isinstance(env, kind):
             return env
         env = env.env
     return None

@@ -26,7 +26,7 @@ from hrl_escape.errors import ResetNeededError, UnknownNameError, UnsupportedErr
 from hrl_escape.figures import make_svg
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.notebook import make_caption, make_html_table
-from hrl_escape.options.domain import DomainStep
+from hrl_escape.options.domain import DomainStep, find_layer
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
 from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
@@ -356,12 +356,10 @@ class TextEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
 def find_text_env(env: gymnasium.Env) -> TextEnv:
     """Return the `TextEnv` among the wrappers of a room. Raises `UnsupportedError` if there is none."""
-    inner: Any = env
-    while isinstance(inner, gymnasium.Wrapper):
-        if isinstance(inner, TextEnv):
-            return inner
-        inner = inner.env
-    raise UnsupportedError(f"{env} has no text interface. Wrap its OptionsEnv in a TextEnv")
+    found = find_layer(env, TextEnv)
+    if found is None:
+        raise UnsupportedError(f"{env} has no text interface. Wrap its OptionsEnv in a TextEnv")
+    return found
 
 
 def _show(name: str) -> str:
