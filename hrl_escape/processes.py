@@ -14,7 +14,8 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import IO
 
-from hrl_escape.files import make_folder
+from hrl_escape.errors import RunBusyError
+from hrl_escape.files import make_folder, open_for_writing
 
 NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL, errno.EBADF)
 """Errors of file systems without locks, such as Lustre mounted without `-o flock`, or NFS for locks of folders."""
@@ -39,6 +40,25 @@ def take_lock(file: IO[bytes]) -> bool:
     On a file system without locks, warns and returns True.
     """
     return _lock(file.fileno(), file.name, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def open_lock(path: Path, busy: str) -> IO[bytes]:
+    """Open a file, which is created with its folder if it is missing, and lock it until it is closed.
+
+    Args:
+        path: the lock file.
+        busy: message if another process holds the lock.
+
+    Raises:
+        RunBusyError: another process holds the lock.
+        FileWriteError: the file cannot be written.
+    """
+    make_folder(path.parent)
+    file = open_for_writing(path)
+    if not take_lock(file):
+        file.close()
+        raise RunBusyError(busy)
+    return file
 
 
 @contextmanager

@@ -22,11 +22,11 @@ from hrl_escape.benchmark.env_spec import EnvPlace
 from hrl_escape.benchmark.grid import Grid, GridRun, load_grid
 from hrl_escape.benchmark.launching.local import Failure, Launcher, LocalLauncher
 from hrl_escape.benchmark.run_results import RunResult, get_run_folder, load_run_result
-from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
+from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.figures import Pictured
-from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
+from hrl_escape.files import clear_unfinished, write_json
 from hrl_escape.names import parse_whole
-from hrl_escape.processes import take_lock
+from hrl_escape.processes import open_lock
 from hrl_escape.progress import Reporter, describe_results, show_progress
 from hrl_escape.sets.places import RunPlace
 
@@ -147,7 +147,8 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
     places, every = _make_runs(grid)
     runs, out = shard.choose(every), Path(out).absolute()
     console = console or Console(stderr=True, highlight=False)
-    with _lock(out, shard):
+    lock = out / ("lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}")
+    with open_lock(lock, f"{out}: another comparison is running in this folder. Wait for it or choose another folder"):
         shared = [out, out / "rooms"] if shard == WHOLE else []  # other parts can be writing now
         for folder in (*shared, *(get_run_folder(out, run) for run in runs)):
             clear_unfinished(folder)
@@ -204,17 +205,6 @@ def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, fl
 def _make_runs(grid: Grid) -> tuple[tuple[RunPlace | EnvPlace, ...], list[GridRun]]:
     places = grid.make_places()
     return places, grid.make_runs(places)
-
-
-@contextmanager
-def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
-    """Lock a folder, or a part of it, until the process ends."""
-    make_folder(out)
-    with open_for_writing(out / ("lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}")) as lock:
-        if not take_lock(lock):
-            raise RunBusyError(
-                f"{out}: another comparison is running in this folder. Wait for it or choose another folder")
-        yield
 
 
 def _read_finished(out: Path, run: GridRun, console: Console) -> RunResult | None:

@@ -36,8 +36,6 @@ from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import RunBusyError
-from hrl_escape.files import make_folder, open_for_writing
-from hrl_escape.processes import take_lock
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.signals import Ended
 
@@ -89,11 +87,10 @@ def _reserve(path: Path) -> Iterator[None]:
         RunBusyError: another process records into the file.
         FileWriteError: the folder cannot be written.
     """
-    make_folder(path.parent)
+    from hrl_escape.processes import open_lock
+
     lock = path.with_name(f"{path.name}.lock")
-    with open_for_writing(lock) as file:
-        if not take_lock(file):
-            raise RunBusyError(f"{path}: another server records into this file. Choose another file for --record")
+    with open_lock(lock, f"{path}: another server records into this file. Choose another file for --record"):
         try:
             yield
         finally:

@@ -14,7 +14,7 @@ import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
@@ -24,7 +24,6 @@ from hrl_escape.errors import (
     CheckpointError,
     EscapeError,
     FileWriteError,
-    RunBusyError,
     RunMismatchError,
     describe_damage,
     show_value,
@@ -32,14 +31,13 @@ from hrl_escape.errors import (
 from hrl_escape.files import (
     clear_unfinished,
     describe_write_failure,
-    make_folder,
     open_for_writing,
     open_plain,
     parse_json,
     read_json,
     write_json,
 )
-from hrl_escape.processes import take_lock
+from hrl_escape.processes import open_lock
 
 FORMAT = 3
 """Version of the fields of `run.json`; another version is refused."""
@@ -75,7 +73,8 @@ class RunFolder:
         self.key = compute_digest(hash_large_parts(identity))
         self.state: StateTree | None = None
         self.rows: list[dict[str, Any]] = []
-        self._lock = self._take_lock()
+        self._lock = open_lock(self.path / "lock", f"{self.path}: another process is training into this folder. Wait "
+                                                   "for it or choose another folder")
         try:
             clear_unfinished(self.path)
             self._claim(json.loads(json.dumps(identity)))
@@ -149,15 +148,6 @@ class RunFolder:
             return os.path.samestat(os.stat(path), os.fstat(self._log.fileno()))
         except FileNotFoundError:
             return False
-
-    def _take_lock(self) -> IO[bytes]:
-        make_folder(self.path)
-        lock = open_for_writing(self.path / "lock")
-        if not take_lock(lock):
-            lock.close()
-            raise RunBusyError(
-                f"{self.path}: another process is training into this folder. Wait for it or choose another folder")
-        return lock
 
     def _claim(self, identity: dict[str, Any]) -> None:
         path = self.path / "run.json"
