@@ -21,7 +21,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Literal
 
-from hrl_escape.errors import FileReadError, FileWriteError
+from hrl_escape.errors import FileReadError, FileWriteError, describe_damage
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -185,6 +185,20 @@ def open_zip(file: IO[bytes], largest: int = LARGEST_MEMBER_LIST) -> Iterator[zi
         raise ValueError(f"its list of members has {size:,} bytes; at most {largest:,} are read here")
     with zipfile.ZipFile(file) as archive:
         yield archive
+
+
+def list_members(path: str | os.PathLike[str], what: str, largest: int) -> list[str]:
+    """Return the names in a zip; see `open_plain` for arguments and errors.
+
+    Raises:
+        BadZipFile: the file is no zip, or a damaged one.
+    """
+    with open_plain(path, what, largest) as file:
+        try:
+            with open_zip(file) as archive:
+                return archive.namelist()
+        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError) as error:
+            raise zipfile.BadZipFile(describe_damage(error)) from error
 
 
 def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest: int) -> None:

@@ -65,7 +65,7 @@ from tests.agents.small_envs import ButtonGrid
 from tests.benchmark.small import SMALL
 
 PACKAGE = Path(hrl_escape.__file__).parent
-READERS = ("open_plain", "read_bytes", "read_text", "read_json", "read_toml", "check_files")
+READERS = ("open_plain", "list_members", "read_bytes", "read_text", "read_json", "read_toml", "check_files")
 """Guarded readers of `files.py`."""
 RAW = {"open", "fdopen", "read_text", "read_bytes", "ZipFile", "is_zipfile", "loadURDF", "MeshLoader", "fromfile",
        "loadtxt", "genfromtxt", "memmap", "imread", "imopen", "imiter", "TarFile", "GzipFile", "parse_file",

@@ -37,7 +37,7 @@ from hrl_escape.agents.training.run_folder import FORMAT as RUN_FORMAT
 from hrl_escape.benchmark.agent_archive import RUN, AgentCard, RoomResult, check_results, write_archive
 from hrl_escape.benchmark.grid import GRID_FORMAT, Grid
 from hrl_escape.errors import AgentSettingsError, EscapeError, FileReadError, UnsupportedError, describe_damage
-from hrl_escape.files import open_plain, open_zip, read_json, read_text, read_toml, write_json, write_text
+from hrl_escape.files import list_members, open_plain, read_json, read_text, read_toml, write_json, write_text
 from hrl_escape.sets.room_spec import renew_room
 
 _SUBMISSION = ArchiveKind("a submission of version 0.3", re.compile(r"submission\.json|cells\.csv|run\.zip"),
@@ -151,12 +151,10 @@ def _convert_archive(path: Path, out: Path) -> str:
 
 
 def _list_members(path: Path) -> list[str]:
-    with open_plain(path, "archive", largest=2**32) as file:
-        try:
-            with open_zip(file) as archive:
-                return [name for name in archive.namelist() if name != "manifest.json"]
-        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError) as error:
-            raise FileReadError(f"{path}: this is no archive: {describe_damage(error)}") from error
+    try:
+        return [name for name in list_members(path, "archive", 2**32) if name != "manifest.json"]
+    except zipfile.BadZipFile as error:
+        raise FileReadError(f"{path}: this is no archive: {error}") from error
 
 
 def _list_parts(folder: Path, names: Iterable[str]) -> dict[str, Path | bytes]:

@@ -17,7 +17,7 @@ from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_rec
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EscapeError, FileReadError, VerificationError
-from hrl_escape.files import open_plain, open_zip, parse_json, read_json, read_text, write_json
+from hrl_escape.files import list_members, parse_json, read_json, read_text, write_json
 from hrl_escape.names import number_options
 from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.options.options_env import OptionsEnv
@@ -58,12 +58,10 @@ def name_options(room: RoomInstance) -> tuple[str, ...]:
 
 
 def _convert_recording(path: Path, out: Path) -> str | None:
-    with open_plain(path, "recording", largest=2**29) as file:
-        try:
-            with open_zip(file) as archive:
-                is_recording = "about.npy" in archive.namelist()
-        except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
-            is_recording = False
+    try:
+        is_recording = "about.npy" in list_members(path, "recording", 2**29)
+    except zipfile.BadZipFile:
+        is_recording = False
     if not is_recording:
         return None
     recording = load_recording(path, version=1)
