@@ -61,7 +61,7 @@ def import_minari() -> Any:
 
 def to_minari(data: DataSet | PlayedData, namespace: str = "hrl_escape", folder: str | PathLike[str] | None = None
               ) -> tuple[Any, ...]:
-    """Write the sets of decisions and primitives for Minari; returns those of primitives first, if there are any.
+    """Write the sets of decisions and primitives for Minari; returns the primitives first, if there are any.
 
     A data set of a rung becomes `NAMESPACE/RUNG/KIND-primitives-v1` and `-decisions-v1`. Their environments are
     `hrl_escape/Ladder-v1` over the rooms of the recording, and over its test rooms for evaluation. Reference scores are
@@ -94,7 +94,7 @@ def to_minari(data: DataSet | PlayedData, namespace: str = "hrl_escape", folder:
 def _write_rung(minari: Any, data: DataSet, level: DataLevel, namespace: str) -> Any:
     """Write a level of a data set of a rung."""
     about, scores = data.recording.about, data.recording.about["scores"]
-    place = f"{namespace}/{data.recording.rooms.place['rung']}/{about['kind']}"  # type: ignore[index]
+    place = f"{namespace}/{data.recording.rooms.place['rung']}/{about['kind']}"  # type: ignore[index]  # a rung
     has_options = level == "decisions" and len(about["actions"]) > data.recording.primitive_count
     options: Any = {"include_primitives": data.recording.primitive_count > 0} if has_options else False
     env, test = (rooms.make_env(options, observation=data.observation)

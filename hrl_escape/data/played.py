@@ -18,12 +18,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.agents.agent import count_actions, make_transition, read_action_mask
 from hrl_escape.agents.components.offline import Primitives, RecordedDecisions
 from hrl_escape.data.export import import_minari, using_minari_folder
 from hrl_escape.data.played_data import PlayedData
-from hrl_escape.errors import ActionError, ConfigError, UnsupportedError
+from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.step_info import ENDINGS, is_discount, read_duration, read_option, read_payment
+from hrl_escape.step_info import ENDINGS, is_discount, read_action, read_option
 
 PlayedChoice: TypeAlias = int | str | None
 """Number or name of an action, or None to end the recording."""
@@ -36,16 +37,17 @@ class _Rows:
 
     def __init__(self, env: gymnasium.Env) -> None:
         self.env, self._flat = env, self._find_flat(env)
+        self._gamma = float(env.get_wrapper_attr("gamma")) if env.has_wrapper_attr("gamma") else 0.99
         self._decisions: list[tuple[Any, ...]] = []
         self._primitives: list[tuple[Any, ...]] = []
         self._trajectory = -1
-        self._actions = int(env.action_space.n)  # type: ignore[attr-defined]
+        self._actions = count_actions(env.action_space, "recorded play")
 
     @staticmethod
-    def _find_flat(env: gymnasium.Env) -> OptionsEnv | None:
+    def _find_flat(env: Any) -> OptionsEnv | None:
         """Return the environment of options if it shows the primitives inside a decision, else None."""
         while type(env).__module__.startswith("gymnasium.wrappers.common"):  # these change nothing
-            env = env.env  # type: ignore[attr-defined]
+            env = env.env
         shows = isinstance(env, OptionsEnv) and env.level == 0 and isinstance(
             env.env.action_space, gymnasium.spaces.Discrete)
         return env if shows else None
@@ -53,27 +55,24 @@ class _Rows:
     def begin(self, observation: Any, info: Mapping[str, Any]) -> None:
         """Begin an episode."""
         self._trajectory += 1
-        self._seen, self._mask = self._check(observation), self._read_mask(info)
+        self._seen, self._mask = self._check(observation), read_action_mask(info, self._actions)
         if self._flat is not None:  # without the features of options that OptionsEnv can append
             shape = self._flat.env.observation_space.shape
-            self._below = self._seen if shape == self._seen.shape else self._seen[: shape[0]]  # type: ignore[index]
+            self._below = self._seen if shape == self._seen.shape else self._seen[: shape[0]]  # type: ignore[index]  # a Box
 
     def add(self, action: int, step: tuple[Any, Any, bool, bool, dict[str, Any]]) -> None:
         """Append a decision."""
-        shown, reward, terminated, truncated, info = step
-        observation, mask, option = self._check(shown), self._read_mask(info), read_option(info)
-        gamma = self.env.get_wrapper_attr("gamma") if self.env.has_wrapper_attr("gamma") else 0.99
-        payment, last = read_payment(reward, info), terminated or truncated
-        duration = read_duration(info)
+        made, option = make_transition(self._seen, action, self._mask, step, self._gamma), read_option(step[4])
+        observation, last = self._check(made.next_observation), made.terminated or made.truncated
         self._decisions.append((
-            self._seen, action, self._mask, payment.compute_discounted(gamma), payment.summed, duration,
-            gamma**duration, observation, mask, terminated, last, self._trajectory,
+            self._seen, action, self._mask, made.reward, made.summed_reward, made.duration, made.discount, observation,
+            made.next_action_mask, made.terminated, last, self._trajectory,
             0 if option is None else ENDINGS.index(option["ended"])))
-        self._seen, self._mask = observation, mask
+        self._seen, self._mask = observation, made.next_action_mask
         steps = () if self._flat is None else self._flat.last_steps
         for number, inner in enumerate(steps, 1):
             reached, is_last = np.asarray(inner.observation), number == len(steps)
-            self._primitives.append((self._below, int(inner.action), sum(inner.rewards), reached, terminated and
+            self._primitives.append((self._below, int(inner.action), sum(inner.rewards), reached, made.terminated and
                                      is_last, last and is_last, self._trajectory, action, number == 1))
             self._below = reached
 
@@ -88,8 +87,7 @@ class _Rows:
         """Return the data so far."""
         if not self._decisions:
             raise UnsupportedError("nothing was recorded: no decision was made")
-        gamma = self.env.get_wrapper_attr("gamma") if self.env.has_wrapper_attr("gamma") else 0.99
-        return PlayedData(name, self.env, float(gamma), _stack(RecordedDecisions, self._decisions),
+        return PlayedData(name, self.env, self._gamma, _stack(RecordedDecisions, self._decisions),
                           _stack(Primitives, self._primitives) if self._primitives else None)
 
     def _check(self, observation: Any) -> NDArray[Any]:
@@ -98,10 +96,6 @@ class _Rows:
             raise UnsupportedError(f"observations of {self.env.observation_space} are no arrays: apply a wrapper such "
                                    "as gymnasium.wrappers.FlattenObservation below OptionsEnv, or select one part")
         return array
-
-    def _read_mask(self, info: Mapping[str, Any]) -> NDArray[np.bool_]:
-        mask = info.get("action_mask")
-        return np.ones(self._actions, np.bool_) if mask is None else np.asarray(mask) != 0
 
 
 def _stack(kind: Any, rows: list[tuple[Any, ...]]) -> Any:
@@ -131,10 +125,12 @@ def record_play(env: gymnasium.Env, choose: ChoiceRule | None = None, *, episode
         The recorded decisions. An episode that was ended by choice is a trajectory without an end of the task.
 
     Raises:
-        UnsupportedError: observations are no arrays, or no decision was made.
+        UnsupportedError: observations are not arrays, or no decision was made.
+        UnsupportedSpaceError: the actions are not Discrete.
         ActionError: no such action.
+        StepContractError: a step violates the contract of `info`, see `make_transition`.
     """
-    rows, choose = _Rows(env), choose or _Question(env)
+    rows, names, choose = _Rows(env), _list_names(env), choose or _Question(env)
     for number in range(episodes):
         observation, info = env.reset(seed=seed + number)
         rows.begin(observation, info)
@@ -144,7 +140,7 @@ def record_play(env: gymnasium.Env, choose: ChoiceRule | None = None, *, episode
             if action is None:
                 rows.cut()
                 return rows.make(name)
-            index = _find_action(env, action)
+            index = names.index(action) if action in names else read_action(action, len(names))
             step = env.step(index)
             observation, _, terminated, truncated, info = step
             rows.add(index, step)
@@ -152,20 +148,10 @@ def record_play(env: gymnasium.Env, choose: ChoiceRule | None = None, *, episode
     return rows.make(name)
 
 
-def _find_action(env: gymnasium.Env, choice: int | str) -> int:
-    """Return the number of an action given by number or name."""
-    names = _list_names(env)
-    if isinstance(choice, str) and choice in names:
-        return names.index(choice)
-    if isinstance(choice, str) or not 0 <= int(choice) < len(names):
-        raise ActionError(choice, len(names))
-    return int(choice)
-
-
 def _list_names(env: gymnasium.Env) -> tuple[str, ...]:
     if env.has_wrapper_attr("action_names"):
         return tuple(env.get_wrapper_attr("action_names"))
-    return tuple(map(str, range(int(env.action_space.n))))  # type: ignore[attr-defined]
+    return tuple(map(str, range(count_actions(env.action_space, "recorded play"))))
 
 
 class _Question:
@@ -202,7 +188,7 @@ def from_minari(dataset: Any, folder: str | PathLike[str] | None = None, env: gy
 
     Args:
         dataset: id such as `mine/play-decisions-v1`, or a `MinariDataset`. Sets of decisions have `duration` and
-            `discounted_reward` among their infos, as those of `to_minari` and of Minari's
+            `discounted_reward` among their infos, as `to_minari` writes them, and Minari's
             `DataCollector(env, record_infos=True)` over an `OptionsEnv`. Others are read as primitives.
         folder: folder of data sets, as `MINARI_DATASETS_PATH`, or None for Minari's default.
         env: environment for tests; by default the one that the set makes again. That imports the code which the set
@@ -211,7 +197,8 @@ def from_minari(dataset: Any, folder: str | PathLike[str] | None = None, env: gy
     Raises:
         MissingExtraError: Minari is not installed.
         ConfigError: no such data set.
-        UnsupportedError: observations are no arrays, or the set has no environment.
+        UnsupportedError: observations are not arrays, or the set has no environment.
+        UnsupportedSpaceError: the actions of the environment are not Discrete.
     """
     minari = import_minari()
     with using_minari_folder(folder):
@@ -222,20 +209,19 @@ def from_minari(dataset: Any, folder: str | PathLike[str] | None = None, env: gy
                 raise ConfigError("dataset", dataset, "the id of a local data set; `minari list local` shows them"
                                   ) from error
         name = dataset.spec.dataset_id
-        if env is None:
-            if dataset.env_spec is None:
-                raise UnsupportedError(f"{name} keeps no environment: give from_minari(..., env=...)")
-            env = dataset.recover_environment()
+        if env is None and dataset.env_spec is None:
+            raise UnsupportedError(f"{name} keeps no environment: give from_minari(..., env=...)")
+        test_env: gymnasium.Env = dataset.recover_environment() if env is None else env
         episodes = [episode for episode in dataset.iterate_episodes() if len(episode.actions)]
     if not episodes or not isinstance(episodes[0].observations, np.ndarray):
         raise UnsupportedError(f"{name} has no episodes whose observations are arrays")
-    parts = [_read_episode(episode, number, int(env.action_space.n))  # type: ignore[attr-defined]
-             for number, episode in enumerate(episodes)]
+    actions = count_actions(test_env.action_space, "recorded play")
+    parts = [_read_episode(episode, number, actions) for number, episode in enumerate(episodes)]
     if isinstance(parts[0], RecordedDecisions):
         decisions = RecordedDecisions(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
-        return PlayedData(name, env, _find_gamma(decisions, name), decisions, None)
+        return PlayedData(name, test_env, _find_gamma(decisions, name), decisions, None)
     primitives = Primitives(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
-    return PlayedData(name, env, 0.99, None, primitives, "primitives")
+    return PlayedData(name, test_env, 0.99, None, primitives, "primitives")
 
 
 def _read_episode(episode: Any, number: int, actions: int) -> RecordedDecisions | Primitives:
@@ -273,8 +259,7 @@ def _find_gamma(decisions: RecordedDecisions, name: str) -> float:
         UnsupportedError: they disagree.
     """
     longest = int(np.argmax(decisions.duration))
-    gamma = float(decisions.discount[longest] ** (1 / decisions.duration[longest]))
-    gamma = round(gamma, 9)
+    gamma = round(float(decisions.discount[longest] ** (1 / decisions.duration[longest])), 9)
     if not all(is_discount(float(discount), gamma, int(duration)) for discount, duration in
                zip(decisions.discount, decisions.duration, strict=True)):
         raise UnsupportedError(f"decisions of {name} were recorded with several discounts")
