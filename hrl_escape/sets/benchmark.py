@@ -156,5 +156,5 @@ def load_benchmark(name: str | Path) -> Benchmark:
         EscapeError: the file is damaged.
     """
     base, season = split_season(str(name))
-    manifest = choose_season(load_manifest(base), season)
-    return Benchmark(manifest, f"{base}@{season or 0}" if manifest.name.endswith(f"@{season or 0}") else base)
+    manifest = load_manifest(base)
+    return Benchmark(choose_season(manifest, season), f"{base}@{season or 0}" if manifest.seasons else base)
