@@ -69,7 +69,7 @@ class Reply(NamedTuple):
 
 
 class Budget:
-    """Tokens, dollars and seconds that games together may take; used by several threads.
+    """Limits of tokens, dollars and seconds for all games together; several threads can use it.
 
     Args:
         tokens: most tokens, read and written.
@@ -120,7 +120,7 @@ class Budget:
 
 
 class GameStopped(Exception):  # noqa: N818  # an outcome, not a defect
-    """A game cannot go on.
+    """A game cannot continue.
 
     Attributes:
         counts: whether the game counts as it is. A game that a budget stops is played again.
@@ -217,13 +217,13 @@ class ChatClient:
             if tries < self._retries:
                 pause = self._backoff * 2**tries * (0.5 + self._rng.random()) if wait is None else wait
                 time.sleep(max(0.0, min(pause, LONGEST_WAIT, end - time.monotonic())))
-        raise EndpointError(self._show(problem or "the time limit is reached", self.endpoint))
+        raise EndpointError(self._show(problem or "the time limit is reached"))
 
     def _send(self, body: bytes, limit: float) -> tuple[int, float | None, bytes]:
         """Return status, pause of `Retry-After` and body of an answer that arrives whole within the limit.
 
-        Timeouts of the client are those of one read, which a server that trickles never exceeds. A timer shuts the
-        socket down instead.
+        The client's timeouts apply to one read, which a server that trickles never exceeds. A timer shuts the socket
+        down instead.
         """
         sockets, parts, size, is_late = [], list[bytes](), 0, threading.Event()
 
@@ -256,9 +256,9 @@ class ChatClient:
         finally:
             timer.cancel()
 
-    def _show(self, problem: str, endpoint: str) -> str:
-        text = f"{endpoint} gave no reply: {problem}"
-        text = "".join(letter if letter.isprintable() else " " for letter in text)
+    def _show(self, problem: str) -> str:
+        said = f"{self.endpoint} gave no reply: {problem}"
+        text = "".join(letter if letter.isprintable() else " " for letter in said)
         return text.replace(self._key, "(key)") if self._key else text
 
 

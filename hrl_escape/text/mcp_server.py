@@ -25,27 +25,27 @@ PERIOD = 1.0
 def make_server(series: GameSeries) -> Server[Any]:
     """Make a server of games. Its instructions are the first text of the first game.
 
-    A call runs in a thread of its own. A client that asked for progress is told the primitives of the game once a
+    A call runs in a thread of its own. A client that asked for progress receives the primitives of the game once a
     second while the call runs.
     """
-    one_at_a_time = anyio.Lock()
+    one_at_a_time, announced = anyio.Lock(), series.number
 
     async def list_tools(context: Any, params: Any) -> types.ListToolsResult:
         return types.ListToolsResult(tools=[types.Tool.model_validate(tool) for tool in series.tools()])
 
     async def call_tool(context: Any, params: types.CallToolRequestParams) -> types.CallToolResult:
+        nonlocal announced
         result = ToolResult("")
         async with one_at_a_time, anyio.create_task_group() as group:
             group.start_soon(_report, context, series)
             result = await anyio.to_thread.run_sync(series.call, params.name, params.arguments)
             group.cancel_scope.cancel()
-        if series.number != begun[0]:  # the next room has other options
-            begun[0] = series.number
+        if series.number != announced:  # the next room has other options
+            announced = series.number
             await context.session.send_tool_list_changed()
         content = [types.TextContent(type="text", text=result.text)]
         return types.CallToolResult.model_validate({"content": content, "isError": result.is_error})
 
-    begun = [series.number]
     return Server("hrl-escape", version=__version__, instructions=series.introduction, on_list_tools=list_tools,
                   on_call_tool=call_tool)
 

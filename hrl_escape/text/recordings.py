@@ -51,15 +51,14 @@ class Game:
         first, *turns = self.turns
         begun = {"kind": "game", "schema": _SCHEMA, "seed": self.seed, "reveal": self.reveal,
                  "options": dict(self.options), "text": first.text, "room": self.room.to_dict()}
-        said = [{"call": [*turn.call], "text": turn.text, "is_error": turn.is_error} for turn in turns if turn.call]
-        return [json.dumps(line) for line in (begun, *said, {"score": dataclasses.asdict(self.score)})]
+        return [json.dumps(line) for line in (begun, *list_answers(turns), {"score": dataclasses.asdict(self.score)})]
 
     @classmethod
     def from_lines(cls, lines: Sequence[Any]) -> Game:
         """Parse the lines of one game, each a JSON value.
 
         Raises:
-            ValueError: there are fewer than two lines, or the first is not that of a game of this schema.
+            ValueError: there are fewer than two lines, or the first does not begin a game of this schema.
             EscapeError: a value in them is not valid; the message names its place.
         """
         first, *said, last = lines if len(lines) > 1 else ({}, {})
@@ -115,6 +114,11 @@ class _End:
     """Last line of a game."""
 
     score: Score
+
+
+def list_answers(turns: Iterable[Turn]) -> list[dict[str, Any]]:
+    """Return the line of each call with its answer, as JSON values."""
+    return [{"call": [*turn.call], "text": turn.text, "is_error": turn.is_error} for turn in turns if turn.call]
 
 
 def record_game(session: RoomSession | TextEnv) -> Game:

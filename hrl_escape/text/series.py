@@ -16,7 +16,7 @@ from hrl_escape.files import write_text
 from hrl_escape.names import count_nouns
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text.coercion import normalise_call
-from hrl_escape.text.recordings import Game, record_game, save_games
+from hrl_escape.text.recordings import Game, list_answers, record_game, save_games
 from hrl_escape.text.text_env import RoomSession, ToolResult, Turn, tell_score
 
 NEW_GAME = "new_game"
@@ -121,4 +121,4 @@ def _list_lines(room: RoomInstance, seed: int, reveal: Level, turns: Iterable[Tu
     digest = hashlib.sha256(json.dumps(room.to_dict(), sort_keys=True).encode()).hexdigest()
     first, *others = turns
     return [{"kind": "game-in-progress", "room_sha256": digest, "seed": seed, "reveal": reveal, "text": first.text},
-            *({"call": [*turn.call], "text": turn.text, "is_error": turn.is_error} for turn in others if turn.call)]
+            *list_answers(others)]

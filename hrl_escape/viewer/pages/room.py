@@ -72,7 +72,7 @@ class RoomPage:
             self._choose(client, self._cameras.get(client.client_id, VIEWS[0]))
 
     def hide_graph(self, discovery: PressEvidence | None, state: RoomState) -> None:
-        """Hide the graph but for the evidence of presses, or show it for None."""
+        """Hide the graph except the evidence of presses, or show it for None."""
         self._discovery, self.scene.is_hidden = discovery, discovery is not None
         self.show(state)
 
