@@ -1,9 +1,9 @@
-"""Six queries for arms, beside OMPL's own bindings and pyroboplan: `python -m benchmarks.arm_contenders FOLDER`.
+"""Six queries for arms, compared with OMPL's own bindings and pyroboplan: `python -m benchmarks.arm_contenders FOLDER`.
 
 All planners get the same Pinocchio model, the same convex hulls, the same pairs of bodies and the same clearances. OMPL
 (`SimpleSetup`, RRTConnect, with simplification) and pyroboplan (bidirectional RRT-Connect) test configurations 0.05 rad
 apart, pyroboplan's default. pyroboplan has one padding for all pairs, so its obstacles are grown by the rest. Then the
-clearance of every path is measured every 0.005 rad. FOLDER is that of `example-robot-data`.
+clearance of every path is measured every 0.005 rad. FOLDER is the folder of `example-robot-data`.
 
 pyroboplan: `pip install --no-deps pyroboplan meshcat u-msgpack-python tornado pyzmq toppra`; without it, its columns
 are empty.

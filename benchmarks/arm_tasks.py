@@ -2,8 +2,8 @@
 
 Plans motions of twelve robots among obstacles at any placement. Bullet, which planned none of them, retraces every path
 and measures its clearance; trajectories are checked at 1 kHz. Two tasks follow: a cup out of a shelf, and a hand under
-a table. FOLDER is that of `example-robot-data` (`pip install --no-deps example-robot-data`), by default the installed
-one. The dual Panda, the arm of continuous joints and the tasks need none.
+a table. FOLDER is the folder of `example-robot-data` (`pip install --no-deps example-robot-data`), by default the
+installed one. The dual Panda, the arm of continuous joints and the tasks need none.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ PANDA = Path(pybullet_data.getDataPath()) / "franka_panda" / "panda.urdf"
 PANDA_JOINTS = tuple(f"panda_joint{number}" for number in range(1, 8))
 READY = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)  # rad
 FORWARD = (0.0, math.pi / 2, 0.0)  # roll, pitch and yaw of a hand whose z axis is ahead
-NEAR = 0.1  # m up to which Bullet measures
-HULL_MARGIN = 0.002  # m by which Bullet's hulls of two links may be larger than they are
+NEAR = 0.1  # largest distance that Bullet measures, m
+HULL_MARGIN = 0.002  # largest excess of Bullet's hulls of two links, m
 
 
 # --- robots ---------------------------------------------------------------------------------------
@@ -375,7 +375,7 @@ def take_from_shelf(folder: Path) -> list[Step]:
     steps = list[Step]()
 
     def move(name: str, arm: Arm, start: Any, *targets: tuple[float, ...]) -> NDArray[np.float64]:
-        postures = [p.angles for target in targets for p in arm.solve_ik((*target, ), start, seeds=32)]
+        postures = [p.angles for target in targets for p in arm.solve_ik(target, start, seeds=32)]
         path = arm.plan(start, postures)
         steps.append(Step(name, arm, path))
         return path.points[-1]

@@ -60,7 +60,7 @@ def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int) -> f
     model.learn(primitives)
     env = Monitor(gymnasium.make(task))
     env.reset(seed=0)
-    return float(evaluate_policy(model, env, EPISODES)[0])  # pyright: ignore[reportArgumentType]
+    return float(evaluate_policy(model, env, EPISODES)[0])  # pyright: ignore[reportArgumentType]  # a monitor
 
 
 def run_maze(name: str, maze: str, seed: int, primitives: int) -> float:

@@ -134,7 +134,6 @@ def run_apart(run: Callable[[int, int], Iterator[str]], first: int, count: int) 
                 pipe.flush()
         os._exit(0)
     os.close(target)
-    ends: list[str] = []
     with os.fdopen(source, "rb", buffering=0) as pipe:
         text, heard = b"", time.monotonic()
         while True:
@@ -145,7 +144,7 @@ def run_apart(run: Callable[[int, int], Iterator[str]], first: int, count: int) 
                 text, heard = text + more, time.monotonic()
             elif time.monotonic() - heard > 600:
                 os.kill(child, signal.SIGKILL)
-    ends = [json.loads(line) for line in text.splitlines()]
+    ends: list[str] = [json.loads(line) for line in text.splitlines()]
     _, status, usage = os.wait4(child, 0)
     if status:
         ends.append(f"DIED {run.__name__}, seeds {first} to {first + count - 1}, after {len(ends)}: status {status}")
@@ -221,12 +220,12 @@ def main() -> int:
                     print(end, flush=True)
             ends, most, at = ends + more, max(most, memory), at + count
         failures += _report(run.__name__.removeprefix("run_"), ends, most)
-    told: list[tuple[str, int]] = []
+    done: list[tuple[str, int]] = []
     for end, memory in run_commands(args.seed, args.commands):
-        told.append((end, memory))
+        done.append((end, memory))
         if not end.islower():
             print(end, flush=True)
-    failures += _report("command lines", [end for end, _ in told], max((memory for _, memory in told), default=0))
+    failures += _report("command lines", [end for end, _ in done], max((memory for _, memory in done), default=0))
     return 1 if failures else 0
 
 

@@ -6,7 +6,7 @@
 
 OpenEnv's RFC 008 asks an environment to prove its reward: a golden solution reaches the maximum, doing nothing stays at
 the floor, and canaries, trajectories that look like success, stay there as well. The reward is the efficiency of the
-game, from 0 without an escape to 1. All calls are those of the text interface, in the first test room of a rung.
+game, from 0 without an escape to 1. All calls belong to the text interface, in the first test room of a rung.
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ class Args:
     """Replay the file and compare the rewards."""
     package: Path | None = None
     """Folder for a package of the first rung: openenv.yaml, oracle and canaries."""
+
+
+def hash_room(room: RoomInstance) -> str:
+    """Return the SHA-256 of a room's values, with its name and seed."""
+    return hashlib.sha256(json.dumps(room.to_dict(), sort_keys=True).encode()).hexdigest()
 
 
 def make_session(room: RoomInstance) -> RoomSession:
@@ -116,8 +121,7 @@ def make_entry(rung: str) -> dict[str, Any]:
         for _ in play_episode(ToolsAgent(env, make_model("random")), env, SEED):
             pass
         random = env.score().efficiency
-    digest = hashlib.sha256(json.dumps(room.to_dict(), sort_keys=True).encode()).hexdigest()
-    return {"rung": rung, "room": f"ladder-1/{rung}/test#0", "room_sha256": digest, "seed": SEED,
+    return {"rung": rung, "room": f"ladder-1/{rung}/test#0", "room_sha256": hash_room(room), "seed": SEED,
             "horizon": room.horizon, "tools": ["run_option", "look", "move"],
             "reward": {"range": [0.0, 1.0], "oracle_tolerance": math.ceil(100 * (1 - reward)) / 100,
                        "floor_margin": FLOOR_MARGIN},
@@ -131,7 +135,7 @@ def check_entry(entry: dict[str, Any]) -> None:
     """Replay an entry. Raises `VerificationError` if a reward differs, or one breaks the contract."""
     room = load_benchmark("ladder-1")[entry["rung"]].test[0]
     rules, floor = entry["reward"], entry["floor"]["idle"]
-    if hashlib.sha256(json.dumps(room.to_dict(), sort_keys=True).encode()).hexdigest() != entry["room_sha256"]:
+    if hash_room(room) != entry["room_sha256"]:
         raise VerificationError(f"{entry['room']}: the room is another one")
     found = play_calls(room, entry["golden"]["calls"])
     if found != entry["golden"]["reward"] or found < rules["range"][1] - rules["oracle_tolerance"]:

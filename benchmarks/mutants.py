@@ -5,7 +5,7 @@
     make mutants                                               # 20 of each of five packages, as every night
 
 A minute for three or so; extra `mutants`. Up to four modules, the nearest first, run one after another until one sees
-it. It prints the mutants that none sees, but for those of `equivalent_mutants.toml`, which change nothing that anybody
+it. It prints the mutants that none sees, without those in `equivalent_mutants.toml`, which change nothing that anybody
 could see. The others want a test; exits with 1 if they are more than one in twenty. The seed is the day by default, so
 that a nightly run draws new ones; with one seed a larger count begins with the smaller.
 """

@@ -75,7 +75,7 @@ def main(room: str = "hrl_escape/PaperTwoButtonOptions-v1", decisions: int = 1_0
     rooms = DummyVectorEnv([lambda: make_room(room, gamma)] * 4)
     env = make_room(room, gamma)
     space: Any = env.observation_space
-    actions = int(env.action_space.n)  # type: ignore[attr-defined]
+    actions = int(env.action_space.n)  # type: ignore[attr-defined]  # options are discrete
     network = Net(state_shape=space["obs"].shape, action_shape=actions, hidden_sizes=[64, 64])
     policy = DiscreteQLearningPolicy(model=network, action_space=env.action_space, eps_training=1.0, eps_inference=0.0)
     algorithm = OptionsDQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=gamma, target_update_freq=100)

@@ -38,7 +38,7 @@ LONGEST_FINDING, MOST_NUMBERS = 20, 1
 NUMBER = re.compile(r"\d[\d,.]*")
 
 Rules: TypeAlias = Mapping[str, Callable[[Any], bool]]
-"""Name of a claim -> whether the numbers support it. The numbers are those of all studies of the page, by name."""
+"""Name of a claim -> whether the numbers support it. The numbers come from all studies of the page, by name."""
 
 
 class UnsupportedClaimError(EscapeError):

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import tempfile
+import time
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from rich.console import Console
 
 from hrl_escape.benchmark.comparison import Comparison, run_grid
 from hrl_escape.benchmark.launching.local import LocalLauncher
@@ -16,8 +21,10 @@ from studies.baseline import BaselineRun, collect_baselines
 from studies.store import Line, Store
 from studies.study import Findings, Study
 
-__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "open_store",
+__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "make_missing", "open_store",
            "refuse_failures", "run_study"]
+
+Job = TypeVar("Job", bound=Line)
 
 NO_TRAINING = 100
 """Training budget of references: only their evaluations count."""
@@ -61,6 +68,18 @@ def open_store(study: Study, docs: Path | None) -> Store:
     """Results of a study: committed ones, or those in a folder."""
     path = study.folder / "raw.jsonl" if docs is None else docs / "raw" / f"{study.name}.jsonl"
     return Store(path, getattr(study.analysis, "LINES", (BaselineRun,)))
+
+
+def make_missing(jobs: Iterable[Job], run: Callable[[Job], Line], store: Store, minutes: float | None) -> None:
+    """Run the jobs whose lines a store lacks, in order, and begin none after so many minutes."""
+    known, end = {line.place for line in store.load()}, time.monotonic() + 60 * (minutes or math.inf)
+    for job in jobs:
+        if job.place in known:
+            continue
+        if time.monotonic() > end:
+            Console(stderr=True, highlight=False).print("time is up: the same command goes on")
+            return
+        store.add([run(job)])
 
 
 def run_study(study: Study, args: Any) -> Findings:

@@ -27,7 +27,7 @@ from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.study import ROOT
 
-__all__ = ["Streams", "UnseenRooms", "count_fewest", "get_unseen", "make_streams", "make_unseen",
+__all__ = ["Streams", "UnseenRooms", "count_fewest", "find_benchmark", "get_unseen", "make_streams", "make_unseen",
            "play_agent", "play_unseen", "stream_rooms", "train_agent"]
 
 

@@ -89,7 +89,7 @@ def describe_result(name: str, rung: str) -> str:
 
 
 def describe_learning(name: str) -> str:
-    """What an agent learns, with the form in parentheses."""
+    """Describe the learned parts of an agent, with the form in parentheses."""
     learns, form = LEARNS[name]
     return f"{learns} ({form})" if form else learns
 

@@ -101,7 +101,7 @@ def show_picture(picture: str, *classes: str) -> nodes.Node:
 
 
 def show_output(output: Any) -> list[nodes.Node]:
-    """What a cell left: its text, or the richest form of its last value."""
+    """Return the output of a cell: its text, or the richest form of its last value."""
     if output["output_type"] == "stream":
         return [show_text(output["text"])]
     picture = get_picture(output)

@@ -41,8 +41,8 @@ settings = {"hidden": [32, 32], "max_updates": 2, "warmup": 500}
 result = train("hac", many, primitives=6_000, settings=settings, eval_episodes=2, eval_every=6_000, progress=False)
 print(f"{result.primitives:,} primitives, {len(result.evaluations)} evaluations")
 
-# A policy shows its goals while it drives: `list_calls` has those of all levels, with their places on the floor. In a
-# room, `hrl-escape watch` draws them as ghosts.
+# A policy shows its goals while it drives: `list_calls` lists the goals of all levels, with their places on the floor.
+# In a room, `hrl-escape watch` draws them as ghosts.
 
 env = many.unwrapped.make_single_env()
 policy = result.agent.make_policy()

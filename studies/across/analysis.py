@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import tempfile
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
@@ -29,7 +26,7 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.across.candidates import CandidateRun, list_candidates, run_candidate
-from studies.running import StudyArgs
+from studies.running import StudyArgs, make_missing
 from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import make_table
@@ -94,16 +91,12 @@ def list_jobs(data: Mapping[str, Any], benchmark: str = "") -> Iterator[AcrossRu
 
 def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing, until the time is up."""
-    known, end = {run.place for run in store.load()}, time.monotonic() + 60 * (args.minutes or math.inf)
-    jobs = list_candidates(study.data) if args.candidates else list_jobs(study.data, args.benchmark)
+    if args.candidates:
+        make_missing(list_candidates(study.data), run_candidate, store, args.minutes)
+        return
     with tempfile.TemporaryDirectory() as folder:
-        for job in jobs:
-            if job.place in known:
-                continue
-            if time.monotonic() > end:
-                Console(stderr=True, highlight=False).print("time is up: the same command goes on")
-                return
-            store.add([run_candidate(job) if isinstance(job, CandidateRun) else run_job(job, study.data, Path(folder))])
+        make_missing(list_jobs(study.data, args.benchmark), lambda job: run_job(job, study.data, Path(folder)), store,
+                     args.minutes)
 
 
 def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:

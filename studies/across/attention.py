@@ -23,8 +23,6 @@ __all__ = ["AttentionCues", "AttentionSettings", "OrderNetwork", "fit"]
 
 MOST_BUTTONS = 16
 """Most buttons of a room."""
-
-
 INITIAL = 0.05
 """Standard deviation of new embeddings. Small ones leave symbols neutral that training has not shown."""
 

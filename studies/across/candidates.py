@@ -1,6 +1,6 @@
 """Candidates that learn across rooms, compared by their wrong presses in unseen rooms, without walking.
 
-Orders and symbols are those of the benchmark's rooms. A learner presses its likeliest button that is off and was not
+Orders and symbols come from the benchmark's rooms. A learner presses its likeliest button that is off and was not
 tried since a light last changed; wrong presses have no effect. Positions are left out, so rungs that need them are not
 measured here.
 """
@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
 from hrl_escape.benchmark.references.count_cues import CountTable, RoomOrder
+from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.sets.benchmark import load_benchmark
@@ -67,22 +69,27 @@ def list_candidates(data: Mapping[str, Any]) -> Iterator[CandidateRun]:
 def run_candidate(job: CandidateRun) -> CandidateRun:
     """Train a learner on orders of training rooms, and count its wrong presses in all test rooms."""
     rung = load_benchmark(f"{job.benchmark}@{job.season}")[job.rung]
-    tested = [(sample_puzzle(rung.config, seed)[1], seed) for seed in rung.test.seeds]
-    weigh_by: Weigh = lambda room, off: None  # noqa: E731
+    tested = [(_sample(rung.config, seed), seed) for seed in rung.test.seeds]
+    weigh_by: Weigh = CountTable([]).weigh  # no odds, so a random order
     if job.learner == COUNTING:
         weigh_by = CountTable(make_orders(rung.train, job.rooms)).weigh
     elif job.learner == ATTENTION:
         torch.set_num_threads(1)
         network = fit(make_orders(rung.train, job.rooms), make_orders(rung.valid, len(rung.valid)), job.season)
-        weigh_by = lambda room, off: weigh(network, room, off)  # noqa: E731
+        weigh_by = partial(weigh, network)
     wrong = [count_wrong(weigh_by, puzzle, np.random.default_rng(seed)) for puzzle, seed in tested]
     return dataclasses.replace(job, wrong=round(float(np.mean(wrong)), 4))
 
 
 def make_orders(rooms: InstanceSet, count: int) -> list[RoomOrder]:
-    """Orders in which search turns on the buttons of the first rooms of a set, at random among those that can light."""
-    return [_draw_order(sample_puzzle(rooms.config, seed)[1], np.random.default_rng(seed))
-            for seed in rooms.seeds[:count]]
+    """Draw the order that search finds in each of the first rooms of a set: at random among buttons that can light."""
+    return [_draw_order(_sample(rooms.config, seed), np.random.default_rng(seed)) for seed in rooms.seeds[:count]]
+
+
+def _sample(config: RoomConfig, seed: int) -> ButtonsPuzzle:
+    puzzle = sample_puzzle(config, seed)[1]
+    assert isinstance(puzzle, ButtonsPuzzle)
+    return puzzle
 
 
 def _draw_order(puzzle: ButtonsPuzzle, rng: np.random.Generator) -> RoomOrder:

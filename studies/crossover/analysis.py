@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import SEARCH_MEMORY
@@ -25,7 +23,7 @@ from studies.buttons.analysis import find_first_escape
 from studies.figures import Theme, make_figure, write_label
 from studies.parts.analysis import make_config
 from studies.parts.answers import PartsRun
-from studies.running import StudyArgs
+from studies.running import StudyArgs, make_missing
 from studies.store import Store
 from studies.study import Findings, Study, find_study
 from studies.tables import make_table
@@ -55,7 +53,7 @@ class SearchRun:
         buttons: number of buttons.
         seed: of room and episodes.
         budget: most primitives.
-        first_escape: primitives at its end; None if none came within the budget.
+        first_escape: primitives at its end, or None if the budget ended first.
     """
 
     rule: str
@@ -85,20 +83,16 @@ def list_jobs(data: Mapping[str, Any]) -> Iterator[SearchRun]:
 def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing, until the time is up."""
     data = find_study(study.data["parts"]).data
-    known, end = {run.place for run in store.load()}, time.monotonic() + 60 * (args.minutes or math.inf)
-    for job in list_jobs(data):
-        if job.place in known:
-            continue
-        if time.monotonic() > end:
-            Console(stderr=True, highlight=False).print("time is up: the same command goes on")
-            return
+
+    def run(job: SearchRun) -> SearchRun:
         room = generate(make_config(data["room"], job.buttons, job.rule), job.seed)
-        first = find_first_escape(SEARCH_MEMORY, room, job.seed, job.budget)
-        store.add([dataclasses.replace(job, first_escape=first)])
+        return dataclasses.replace(job, first_escape=find_first_escape(SEARCH_MEMORY, room, job.seed, job.budget))
+
+    make_missing(list_jobs(data), run, store, args.minutes)
 
 
 class Ratio(NamedTuple):
-    """Primitives of search over those of the learner to the first escape: below 1, search is faster.
+    """Ratio of primitives to the first escape, search over learner: below 1, search is faster.
 
     Attributes:
         value: median ratio; 0 or infinite where every pair is censored on one side.
@@ -138,17 +132,17 @@ def estimate_ratio(search: Sequence[float | None], learner: Sequence[float | Non
         standard = (log - means) / spreads
         losses -= (stats.norm.logpdf(standard) - np.log(spreads) if not own else
                    stats.norm.logsf(standard) if own > 0 else stats.norm.logcdf(standard))
-    grid, losses = means, losses.min(axis=0)  # the profile over spreads
+    losses = losses.min(axis=0)  # the profile over spreads
     inside = np.flatnonzero(losses <= losses.min() + stats.chi2.ppf(level, 1) / 2)
     best = int(losses.argmin())
-    ends = (0.0 if inside[0] == 0 else math.exp(grid[inside[0]]),
-            math.inf if inside[-1] == len(grid) - 1 else math.exp(grid[inside[-1]]))
-    value = 0.0 if best == 0 else math.inf if best == len(grid) - 1 else math.exp(grid[best])
+    ends = (0.0 if inside[0] == 0 else math.exp(means[inside[0]]),
+            math.inf if inside[-1] == MEANS - 1 else math.exp(means[inside[-1]]))
+    value = 0.0 if best == 0 else math.inf if best == MEANS - 1 else math.exp(means[best])
     return Ratio(value, *ends, *counts)
 
 
 def analyse(study: Study, lines: Sequence[SearchRun]) -> Findings:
-    """Ratios by number of buttons under each rule, in all rooms and in those of each slice.
+    """Ratios by number of buttons under each rule, in all rooms and in the rooms of each slice.
 
     Raises:
         ComparisonError: there are no runs.

@@ -83,7 +83,7 @@ def compare_orders(cells: Cells, rungs: Sequence[str]) -> dict[str, tuple[float,
 def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
     """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
 
-    Where moves err the planner is measured by its own expectation, from which a few episodes stray by 0.05 or less.
+    In rooms with noise the planner is measured by its own expectation. A few episodes differ from it by 0.05 or less.
     """
     faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
     least = 0.95 if is_stochastic else 1.0

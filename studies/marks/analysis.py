@@ -83,7 +83,7 @@ LINES = (MarksRun,)
 def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int, streams: int = 0) -> MarksRun:
     """Train an agent in the first rooms of a rung, so many of them at once, and test it in others.
 
-    Who does not learn is only tested; with 0 `streams`, one episode follows the other.
+    References are only tested. With 0 `streams`, one episode follows the other.
     """
     spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
     train_in = (make_streams(benchmark, name, rooms, streams, agent) if streams else
@@ -133,14 +133,14 @@ class Kind(NamedTuple):
 
     Attributes:
         rung: set of the rooms, with its benchmark.
-        told: by number of training rooms.
+        told: with true cues, by number of training rooms.
         control: with cues that say nothing.
         searcher: the best search baseline in the same rooms.
         control_searcher: likewise with cues that say nothing.
         ceiling: the Bayes planner, which is given what cues mean.
         rise: from 16 to 1,000 training rooms, by pairs of seeds.
         worth: true cues less those that say nothing.
-        less: with the smaller budget; None where there is none.
+        less: with the smaller budget, if it was run.
     """
 
     rung: str
@@ -214,7 +214,7 @@ def analyse(study: Study, lines: Sequence[MarksRun]) -> Findings:
                 for rung, kind in kinds.items()]
     return Findings(SimpleNamespace(kinds=kinds, shares=[kind.share for kind in kinds.values()], data=data), {
         "cues": make_table(["kind of cue", *(f"{count_nouns(size, 'training room')}" for size in sizes),
-                            "1,000, smaller budget", "search baseline", "Bayes planner", "learned share"], rows),
+                            "1,000, smaller budget", "search baseline", "Bayes planner", "normalised score"], rows),
         "cue_controls": make_table(["kind of cue", "control", "search baseline in the control",
                                     "true less control", "1,000 rooms less 16"], controls),
     }, {"marks": lambda theme: draw(kinds, titles, theme)})

@@ -44,7 +44,7 @@ class Args(StudyArgs):
     first_replicate: int = 0
     """Lowest replicate; those from 200 on are fresh. Give `--docs` too, to keep them apart."""
     minutes: float | None = None
-    """Minutes after which no further run is begun."""
+    """Begin no run after so many minutes."""
     agents: tuple[str, ...] = ()
     """Labels of the learners to run; all by default."""
     sizes: tuple[int, ...] = BUTTON_COUNTS

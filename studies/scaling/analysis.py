@@ -191,7 +191,7 @@ _LINES = {"smdp-factored-r-max": (0, "factored R-MAX", (7.0, 75)),
           "smdp-monte-carlo-model": (1, "Monte Carlo", (11.5, 260)),
           "smdp-r-max": (3, "R-MAX", (10.8, 8_000)), "smdp-dqn": (2, "DQN", (7.4, 2_400)),
           "random-options": (4, "random", (2.0, 260))}
-"""Agents of the figure: number of their colour, label, and where that stands in the upper panel."""
+"""Agents of the figure: number of their colour, label, and its place in the upper panel."""
 
 
 def draw(escapes: Mapping[tuple[str, str, int], FollowedRuns], theme: Theme) -> Figure:

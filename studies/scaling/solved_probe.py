@@ -28,7 +28,7 @@ __all__ = ["Solution", "SolvedProbe", "SolvedRule", "compare_graphs"]
 
 @dataclass(frozen=True)
 class SolvedRule:
-    """Rule by which a room counts as solved.
+    """Rule that decides whether a room counts as solved.
 
     A random agent does not improve, so its run ends with its first escape.
     """
@@ -56,7 +56,7 @@ class SolvedProbe(Stateful):
 
     Args:
         rule: see `SolvedRule`.
-        env: environment in which the policy is checked, between training episodes.
+        env: environment where the policy is checked, between training episodes.
         instance: its room.
         spec: of the agent.
         score_range: of the room for this agent.

@@ -36,7 +36,7 @@ class Args(StudyArgs):
     managers: tuple[str, ...] = ()
     """Managers to play; all by default."""
     rooms: int | None = None
-    """Rooms of each rung; those of `study.toml` by default."""
+    """Rooms of each rung; by default the number in `study.toml`."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ class GameRun:
 
     Attributes:
         caller: manager, or name of a recording.
-        told: what it was told.
+        told: level of information, as `reveal` of the text interface.
         rung: of the room.
         room: number of the room in the rung's test set.
         recorded: the game comes from a recording, and its replay agreed.

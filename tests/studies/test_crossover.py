@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from studies.crossover.analysis import SearchRun, analyse, estimate_ratio, list_jobs
+from studies.crossover.analysis import LINES, SearchRun, analyse, estimate_ratio, list_jobs
+from studies.running import make_missing
+from studies.store import Store
 from studies.study import find_study
 
 STUDY = find_study("crossover")
@@ -17,6 +21,20 @@ def test_jobs_are_the_rooms_of_both_slices_once_each():
     jobs = list(list_jobs(find_study(STUDY.data["parts"]).data))
     assert len(jobs) == len({job.place for job in jobs}) == 8 * 30 * 2
     assert [job.buttons for job in jobs] == sorted(job.buttons for job in jobs)
+
+
+def test_runs_resume_and_none_begins_once_the_time_is_up(tmp_path: Path):
+    store, jobs, made = Store(tmp_path / "raw.jsonl", LINES), list(list_jobs(find_study("parts").data))[:3], []
+
+    def run(job: SearchRun) -> SearchRun:
+        made.append(job)
+        return dataclasses.replace(job, first_escape=len(made))
+
+    make_missing(jobs, run, store, 1e-9)
+    assert not made and not store.path.exists()
+    make_missing(jobs[:2], run, store, None)
+    make_missing(jobs, run, store, 1.0)
+    assert made == jobs and [line.first_escape for line in store.load()] == [1, 2, 3]
 
 
 def test_a_known_ratio_is_found_and_censored_runs_do_not_pull_it_to_1():

@@ -60,10 +60,19 @@ def test_a_ratio_above_1_refutes_that_search_with_memory_is_faster(parts: Simple
     assert not RULES["search-with-memory-is-faster"](parts) and not RULES["takeaway"](parts)
 
 
+@pytest.mark.parametrize("change", [{"search": 29}, {"learner": 30}])
+def test_with_fifteen_buttons_all_runs_of_search_escape_and_not_all_of_the_learner(change: dict[str, int],
+                                                                                   parts: SimpleNamespace):
+    own = parts.crossover.ratios["reset"]["all"]
+    own[15] = own[15]._replace(**change)
+    assert not RULES["fifteen-buttons"](parts)
+
+
 @pytest.mark.parametrize("slice_", ["first", "fresh"])
 def test_a_single_escape_without_structure_refutes_the_headline(slice_: str, parts: SimpleNamespace):
     getattr(parts.parts, slice_).escapes[BASELINE, RULE][15] = (1, 5)
     assert not RULES["only-structure-escapes-beyond-ten"](parts)
+    assert RULES["fifteen-buttons"](parts) is (slice_ == "fresh")
     getattr(parts.parts, slice_).escapes[BASELINE, RULE].pop(15)
     assert RULES["only-structure-escapes-beyond-ten"](parts), "options with memory were run with 15, too"
 
