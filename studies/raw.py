@@ -153,6 +153,7 @@ def load_episode_rows(folder: Path) -> list[dict[str, Any]]:
 def _make_run(run: GridRun, result: RunResult, rows: Sequence[Mapping[str, Any]]) -> RawRun:
     axis: Axis = "decisions" if run.grid.decisions else "primitives"
     budget = run.grid.decisions or run.grid.primitives
+    assert result.score_range is not None, "studies run in rooms, which have a score range"
     worst, best = result.score_range.worst, float(np.mean(result.score_range.best))
     ended = [row for row in rows if row["train/end"] != "budget"]
     at = np.array([row[axis] for row in ended], dtype=np.float64)

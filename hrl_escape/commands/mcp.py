@@ -35,7 +35,6 @@ from pathlib import Path
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import RunBusyError
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.signals import Ended
 

@@ -96,8 +96,8 @@ class _DecisionReader(BaseInfoDictReader):
 
     def __init__(self, actions: int) -> None:
         self._specs = {"action_mask": Binary(actions, dtype=torch.bool),
-                       DURATION: Unbounded(shape=(1,), dtype=torch.int64),
-                       DISCOUNT: Unbounded(shape=(1,), dtype=torch.float32)}
+                       DURATION: Unbounded(shape=torch.Size((1,)), dtype=torch.int64),
+                       DISCOUNT: Unbounded(shape=torch.Size((1,)), dtype=torch.float32)}
 
     def __call__(self, info_dict: dict[str, Any], tensordict: TensorDictBase) -> TensorDictBase:
         for name, spec in self._specs.items():

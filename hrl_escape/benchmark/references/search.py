@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -247,8 +247,8 @@ class SearchBacktrack(SearchBaseline):
 
     def _begin(self, is_new: bool) -> None:
         if is_new:
-            self._known: dict[Hashable, dict[int, Hashable]] = {}
-            self._states: dict[Hashable, Any] = {}  # a puzzle state that showed each pattern
+            self._known: dict[tuple[float, ...], dict[int, tuple[float, ...]]] = {}
+            self._states: dict[tuple[float, ...], Any] = {}  # a puzzle state that showed each pattern
 
     def _note(self, action: int, before: RoomState, after: RoomState) -> None:
         was, now = self._puzzle.observe(before.puzzle), self._puzzle.observe(after.puzzle)
@@ -277,9 +277,9 @@ class SearchBacktrack(SearchBaseline):
         """Return the untried action to take: the nearest by straight-line distance."""
         return min(untried, key=lambda action: self._measure(action, state))
 
-    def _find_ways(self, here: Hashable) -> dict[Hashable, tuple[int, ...]]:
+    def _find_ways(self, here: tuple[float, ...]) -> dict[tuple[float, ...], tuple[int, ...]]:
         """Return the shortest known action sequences to all reachable patterns."""
-        ways: dict[Hashable, tuple[int, ...]] = {here: ()}
+        ways: dict[tuple[float, ...], tuple[int, ...]] = {here: ()}
         queue = deque([here])
         while queue:
             place = queue.popleft()
@@ -289,7 +289,7 @@ class SearchBacktrack(SearchBaseline):
                     queue.append(after)
         return ways
 
-    def _list_untried(self, place: Hashable, legal: Sequence[int], only_dark: bool) -> list[int]:
+    def _list_untried(self, place: tuple[float, ...], legal: Sequence[int], only_dark: bool) -> list[int]:
         known = self._known.get(place, {})
         return [action for action in legal if action not in known
                 and (not only_dark or self._is_dark(action, self._states[place]))]

@@ -11,8 +11,8 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
-from collections.abc import Hashable, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -22,6 +22,9 @@ from hrl_escape.agents.spec import SEARCH_MEMORY
 from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.references.trained_search import TrainedSearch
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.puzzles.base import PuzzleState
+
+_Press: TypeAlias = tuple[PuzzleState, int, PuzzleState]
 
 _UNKNOWN = 10**9
 """Length of an escape that has not ended yet, longer than any."""
@@ -32,7 +35,7 @@ class _Memory:
     """Knowledge of one room."""
 
     room: str = ""  # content hash of the room
-    results: list[tuple[int, int, int]] = dataclasses.field(default_factory=list[tuple[int, int, int]])
+    results: list[_Press] = dataclasses.field(default_factory=list[_Press])
     """Puzzle state, action and puzzle state after it, in the order of their discovery."""
     presses: tuple[int, ...] = ()  # actions that turned buttons on in the shortest escape, in order; empty before one
     length: int = _UNKNOWN  # primitives of this escape
@@ -57,7 +60,7 @@ class SearchMemory(TrainedSearch):
         self._learned = self._memory = _Memory()
         self._plan: list[int] = []  # presses still to make in this episode
         self._lit: list[int] = []  # actions that turned on the buttons that are on
-        self._seen: set[tuple[int, int]] = set()  # states and actions of `_memory.results`
+        self._seen: set[tuple[PuzzleState, int]] = set()  # states and actions of `_memory.results`
 
     @property
     def kept(self) -> Mapping[str, Any]:
@@ -110,12 +113,12 @@ class SearchMemory(TrainedSearch):
 
     def _may_work(self, presses: Sequence[int]) -> bool:
         """Return whether no press of an order is known to have no effect, or to undo others, where it would be made."""
-        here: Hashable = self._puzzle.observe(self._puzzle.make_state())
+        here: tuple[float, ...] = self._puzzle.observe(self._puzzle.make_state())
         for action in presses:
             there = self._known.get(here, {}).get(action)
             if there is None:
                 return True
-            if sum(there) <= sum(here):  # pyright: ignore[reportArgumentType]  # lights
+            if sum(there) <= sum(here):  # buttons that are on
                 return False
             here = there
         return True
@@ -140,7 +143,7 @@ class SearchMemory(TrainedSearch):
         places = [(start.x, start.y), *((target.x, target.y) for target in targets), room.exit.centre]
         return sum(math.dist(one, other) for one, other in zip(places, places[1:], strict=False))
 
-    def _keep(self, before: int, action: int, after: int) -> None:
+    def _keep(self, before: PuzzleState, action: int, after: PuzzleState) -> None:
         self._seen.add((before, action))
         was, now = self._puzzle.observe(before), self._puzzle.observe(after)
         self._known.setdefault(was, {})[action] = now

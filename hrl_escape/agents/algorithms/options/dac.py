@@ -131,9 +131,9 @@ class DAC(OptionRolloutAgent):
     def compute_low_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                          advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
         """Return the loss of actions within options over some rows, and its parts."""
-        fields = rollout.observation, rollout.mask, choices.option, rollout.action
-        return self.heads.compute_option_loss(*(field.index_select(0, rows) for field in fields), old_log_probability,
-                                              advantage, target)
+        observation, mask, option, action = (field.index_select(0, rows) for field in (
+            rollout.observation, rollout.mask, choices.option, rollout.action))
+        return self.heads.compute_option_loss(observation, mask, option, action, old_log_probability, advantage, target)
 
     def compute_high_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                           advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
