@@ -4,10 +4,10 @@
     hrl-escape convert grid.toml --out new.toml
 
 PATH is the folder or archive of a training run, the archive of a trained agent, a grid (.toml, .json), a recording
-(.npz), recorded games (.jsonl) or a recorded episode (.json). `smdp-dqn` of version 0.3 becomes `smdp-dqn+primitives`,
-and `smdp-dqn+no-primitives` becomes `smdp-dqn`. Search baselines, named settings and hierarchies get their new names.
-A converted run can be loaded, watched, recorded and packed, but not resumed. Results of comparisons belong to the
-version that made them: convert the grid and run it again.
+(.npz), recorded games (.jsonl), a recorded episode or a saved room (.json). `smdp-dqn` of version 0.3 becomes
+`smdp-dqn+primitives`, and `smdp-dqn+no-primitives` becomes `smdp-dqn`. Search baselines, named settings and hierarchies
+get their new names. A converted run can be loaded, watched, recorded and packed, but not resumed. Results of
+comparisons belong to the version that made them: convert the grid and run it again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class ConvertArgs:
     """Options of `hrl-escape convert`."""
 
     path: Annotated[Path, tyro.conf.Positional]
-    """Folder or archive of a run, a trained agent, a grid, a recording, recorded games or a recorded episode."""
+    """A run (folder or archive), trained agent, grid, recording, recorded games, a recorded episode or a room."""
     out: Path | None = None
     """File or folder to write; by default next to PATH, with -converted behind its name."""
 

@@ -1,4 +1,4 @@
-"""Conversion of files of version 0.3: recordings, recorded games and recorded episodes.
+"""Conversion of files of version 0.3: recordings, recorded games, recorded episodes and saved rooms.
 
 Version 0.3 named options by number (`meta-01`) or in words (`press button-1`). `hrl-escape convert` calls
 `convert_data`, and `benchmark/conversion.py` for runs, trained agents and grids.
@@ -32,7 +32,7 @@ EPISODE_SCHEMA = 3
 
 
 def convert_data(path: Path, out: Path) -> str | None:
-    """Convert a recording (.npz), recorded games (.jsonl) or a recorded episode (.json) to this version.
+    """Convert a recording (.npz), recorded games (.jsonl), a recorded episode or a saved room (.json).
 
     Args:
         path: the file.
@@ -47,7 +47,7 @@ def convert_data(path: Path, out: Path) -> str | None:
         FileWriteError: it cannot be written.
     """
     converters: Mapping[str, Callable[[Path, Path], str | None]] = {
-        ".npz": _convert_recording, ".jsonl": _convert_games, ".json": _convert_episode}
+        ".npz": _convert_recording, ".jsonl": _convert_games, ".json": _convert_json}
     convert = converters.get(path.suffix.lower())
     return None if convert is None else convert(path, out)
 
@@ -97,7 +97,7 @@ def _convert_games(path: Path, out: Path) -> str | None:
 def _convert_game(lines: Sequence[Any]) -> Game:
     """Replay the calls of a game with the new names of options; raises if the outcome differs."""
     begun, *said, last = lines
-    room = RoomInstance.from_dict(begun["room"])
+    room = _renew_instance(begun["room"])
     env = OptionsEnv(EscapeRoomEnv(instance=room), **rename_fields(begun["options"]))
     try:
         session = RoomSession(env, begun["told"] if "told" in begun else begun["reveal"])
@@ -120,15 +120,36 @@ def _convert_game(lines: Sequence[Any]) -> Game:
     return game
 
 
-def _convert_episode(path: Path, out: Path) -> str | None:
-    content = read_json(path, "recorded episode")
-    if not isinstance(content, dict) or content.get("kind") != "episode":
+def _convert_json(path: Path, out: Path) -> str | None:
+    content = read_json(path, "file of version 0.3")
+    if not isinstance(content, dict):
         return None
+    if content.get("kind") == "episode":
+        return _convert_episode(path, content, out)
+    if {"schema", "puzzle", "targets"} <= content.keys():
+        content.pop("id", None)
+        room = _renew_instance(content)
+        room.save(out)
+        return f"the room {room.name}"
+    return None
+
+
+def _renew_instance(content: Any) -> RoomInstance:
+    """Build a room; symbols of its buttons are `marks` in version 0.3 and `cues` now."""
+    puzzle = content.get("puzzle") if isinstance(content, dict) else None
+    if isinstance(puzzle, dict) and "marks" in puzzle:
+        kept = {name: value for name, value in puzzle.items() if name != "marks"}
+        content = {**content, "puzzle": {**kept, "cues": puzzle["marks"]}}
+    return RoomInstance.from_dict(content)
+
+
+def _convert_episode(path: Path, content: Mapping[str, Any], out: Path) -> str:
     try:
-        known = name_options(RoomInstance.from_dict(content["instance"]))
+        room = _renew_instance(content["instance"])
+        known = name_options(room)
         moves = [{**move, "name": find_new_name(move["name"], known) or move["name"]} for move in content["moves"]]
         end = None if content["schema"] == 1 else content["end"]
     except (EscapeError, KeyError, TypeError, ValueError) as error:
         raise FileReadError(f"{path}: this recorded episode is damaged: {error}") from error
-    write_json(out, {**content, "schema": EPISODE_SCHEMA, "moves": moves, "end": end})
+    write_json(out, {**content, "schema": EPISODE_SCHEMA, "instance": room.to_dict(), "moves": moves, "end": end})
     return "a recorded episode"

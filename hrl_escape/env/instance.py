@@ -35,7 +35,7 @@ from hrl_escape.env.puzzles.mixins import Doored, Mapped, Propped, Pushing, get_
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.rewards import RewardConfig
 from hrl_escape.env.schema import HashedSettings
-from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
+from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, OldFormatError, show_value
 from hrl_escape.figures import Pictured
 from hrl_escape.files import read_json, write_json
 from hrl_escape.settings import Range
@@ -415,12 +415,16 @@ class RoomInstance(Pictured, HashedSettings):
         Raises:
             FileReadError: the file is missing, unreadable, or not JSON.
             InstanceFileError: the file was edited or corrupted, or has a newer schema.
+            OldFormatError: its puzzle has a field of version 0.3; `hrl-escape convert` renames it.
         """
         data: Any = read_json(path, "room instance")
         stated: Any = cast("dict[str, Any]", data).pop("id", None) if isinstance(data, dict) else None
         try:
             instance = cls.from_dict(data)
         except InstanceFileError as error:
+            puzzle: Any = cast("dict[str, Any]", data).get("puzzle") if isinstance(data, dict) else None
+            if isinstance(puzzle, dict) and "marks" in puzzle:
+                raise OldFormatError(path, "room") from None  # cues were marks
             raise InstanceFileError(f"{path}: {error}") from None
         if stated != instance.id:
             raise InstanceFileError(f"{path}: edited or corrupted: the content has id {instance.id!r}, the file states "

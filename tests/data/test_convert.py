@@ -11,9 +11,11 @@ import pytest
 from hrl_escape.agents.old_fields import rename_fields
 from hrl_escape.data.convert import convert_data
 from hrl_escape.data.recording import load_recording, save_recording
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileReadError, OldFormatError, VerificationError
+from hrl_escape.sets.changes import change_config
 from hrl_escape.text import load_games, record_game, save_games
 from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
 from tests.data.small import make_recording
@@ -91,6 +93,18 @@ def test_an_episode_of_a_person_gets_the_names_of_its_moves(schema: int, tmp_pat
     again = Episode(saved.instance, seed=saved.seed)
     again.replay(saved)
     assert again.end is episode.end
+
+
+def test_symbols_of_buttons_get_their_new_name_in_a_saved_room(tmp_path: Path):
+    room = generate(change_config(get_preset("four-button-chain"), {"puzzle.cues.kind": "needed"}), 0)
+    room.save(tmp_path / "now.json")
+    content = json.loads((tmp_path / "now.json").read_text())
+    content["puzzle"]["marks"] = content["puzzle"].pop("cues")
+    (tmp_path / "old.json").write_text(json.dumps(content | {"id": "of-0.3"}))
+    with pytest.raises(OldFormatError, match="this room is of version 0.3. `hrl-escape convert .*old.json`"):
+        RoomInstance.load(tmp_path / "old.json")
+    assert convert_data(tmp_path / "old.json", tmp_path / "new.json") == f"the room {room.name}"
+    assert (tmp_path / "new.json").read_bytes() == (tmp_path / "now.json").read_bytes()
 
 
 def test_fields_get_their_new_names_at_any_depth():
