@@ -121,6 +121,7 @@ def test_output_that_cannot_be_written_is_one_line(tmp_path, command):
     assert done.stderr == "hrl-escape: cannot write the output: No space left on device\n"
 
 
+@pytest.mark.nightly
 def test_a_closed_pipe_ends_a_program_as_the_shell_expects(tmp_path):
     script = f"'{PROGRAM}' list | true; echo ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path)

@@ -73,6 +73,7 @@ def test_files_have_ordinary_permissions(tmp_path):
     assert len(modes) == 1
 
 
+@pytest.mark.nightly
 def test_a_process_killed_while_writing_leaves_a_whole_file(tmp_path):
     path = tmp_path / "x.bin"
     code = (

@@ -27,6 +27,7 @@ def run_with_broken(tmp_path):
     return lambda program: run_fork(program, environment=os.environ | {"PYTHONPATH": path})
 
 
+@pytest.mark.nightly
 def test_a_broken_package_stops_no_command_that_does_not_ask_for_it(run_with_broken, tmp_path):
     commands = [["room"], ["list", "puzzles", "observations", "agents"], ["train", "--help"],
                 ["train", "random", "--primitives", "20", "--eval-episodes", "0", "--out", str(tmp_path / "run")]]

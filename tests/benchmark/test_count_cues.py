@@ -52,6 +52,7 @@ def count_decisions(trained: CountCues, cues: CuesConfig) -> float:
     return float(np.mean(found.decision_counts))
 
 
+@pytest.mark.nightly
 def test_eight_rooms_teach_four_symbols_and_another_code_makes_them_useless():
     trained = learn(CUES, 8)
     assert trained.rooms >= 6

@@ -75,6 +75,7 @@ class Recursion:
                           for part, bits in self.divide(worlds, lit, target))
 
 
+@pytest.mark.nightly_for("chain-3-sweep-0")
 @pytest.mark.parametrize(("rung", "player", "seed"), [("pair", "sweep", 0), ("chain-3", "sweep", 0),
                                                       ("chain-3", "search-random", 0)])
 def test_errors_are_those_of_a_plain_recursion(rung: str, player: str, seed: int):
@@ -108,6 +109,7 @@ def draw_all(rung: str, number: int) -> list[RoomInstance]:
         for order in itertools.permutations(range(len(room.targets)))]
 
 
+@pytest.mark.nightly_for("search-nearest")
 @pytest.mark.parametrize("player", ["search-nearest", "sweep"])
 def test_luck_averages_to_zero_over_the_graphs_that_are_drawn(player: str):
     config = load_benchmark("ladder-1")["chain-3"].config
@@ -120,6 +122,7 @@ def test_luck_averages_to_zero_over_the_graphs_that_are_drawn(player: str):
     assert sum(each.luck for each in found) / len(found) == pytest.approx(0.0, abs=1e-3)
 
 
+@pytest.mark.nightly
 def test_the_bayes_planner_makes_no_error_and_five_buttons_sum_up():
     room = get_room("lattice-5", 1)
     meter = ErrorMeter(room)

@@ -43,6 +43,7 @@ def iterate_expectation(room) -> float:
     return float(np.mean([values[number] for number in starts.values()]))
 
 
+@pytest.mark.nightly
 def test_the_random_walk_of_a_small_room_is_exact():
     room = make_room("taxi")
     walk = solve_random_walk(room)
@@ -52,6 +53,7 @@ def test_the_random_walk_of_a_small_room_is_exact():
     assert solve_random_walk(make_room("sokoban")).primitives == np.inf  # boxes get stuck
 
 
+@pytest.mark.nightly
 def test_batched_rooms_escape_as_often_by_random_primitives():
     count, walk, room = 4_096, solve_random_walk(make_room("taxi")), make_room("taxi")
     rooms = EscapeRoomVectorEnv(count, "taxi", output="torch", autoreset_mode="SameStep")

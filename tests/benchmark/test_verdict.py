@@ -79,6 +79,7 @@ def test_overlapping_runs_are_not_significantly_different():
     assert said["finding"][0].startswith("With options against without: no significant difference; `smdp-dqn` has an ")
 
 
+@pytest.mark.nightly
 def test_ties_are_called_ties():
     best = runs(*[90] * 10)
     tied = judge({"random-options": CHANCE, "smdp-q-learning": best, "smdp-dqn": best, "search-backtrack": best})

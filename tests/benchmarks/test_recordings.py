@@ -17,6 +17,7 @@ from tests.data.small import make_recording
 NAME = "pair-play-1m-v1"
 
 
+@pytest.mark.nightly
 def test_a_recording_of_its_size_and_name_is_published_and_the_package_wins(tmp_path, monkeypatch):
     monkeypatch.setitem(RECORDING_SIZES, "1m", 2_000)
     recording = dataclasses.replace(make_recording(), about={**make_recording().about, "name": NAME})

@@ -94,6 +94,7 @@ def test_the_diffusion_time_of_primitives():
 # --- the slips -------------------------------------------------------------------------
 
 
+@pytest.mark.nightly_for("none-7.592-502.4-8.694-0.93654")
 @pytest.mark.parametrize(
     "slip, optimum, random_walk, moved_goals, value",
     [

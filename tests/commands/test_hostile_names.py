@@ -36,7 +36,7 @@ def test_a_rooms_name_is_shown_as_it_stands(folder: Path, name: str, capfd):
         assert name in said.out
 
 
-@pytest.mark.nightly_for("../../up")
+@pytest.mark.nightly_for("name1", "../../up")
 @pytest.mark.parametrize("name", ["../../up", "x" * 300])
 def test_train_keeps_its_default_folder_below_runs(folder: Path, name: str, capfd):
     code = main(["train", "random", "--primitives", "5", "--eval-episodes", "0", "--room", write_room(folder, name)])

@@ -142,6 +142,7 @@ def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(cap
     (["hamq+planned", "--option-set", "press-reactive"],
      "--option-set is for agents that choose among options"),
 ])
+@pytest.mark.nightly_for("arguments4-primitives = 0 is not possible")
 def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, ["train", *arguments], words)

@@ -7,7 +7,7 @@ from tests.command_line import call
 SMALL = ("--settings", "hidden=[8]", "batch_size=8", "warmup=20", "updates_per_step=0.1")
 
 
-@pytest.mark.nightly_for("sac")
+@pytest.mark.nightly_for("hiro", "sac")
 @pytest.mark.parametrize(("agent", "more"), [
     pytest.param("hiro", ("--num-envs", "4"), id="hiro"), pytest.param("sac", (), id="sac")])
 def test_a_trained_agent_is_recorded_with_its_velocities(tmp_path, capsys, agent, more):

@@ -34,8 +34,10 @@ def pages_with(language: str) -> list[Path]:
 
 
 @pytest.mark.nightly_for(
-    "docs/planning/trajectories.md", "docs/data.md", "docs/planning/arm.md", "docs/ladder.md", "docs/agents/dac.md",
-    "docs/extend/robot.md", "docs/reproducibility.md", "docs/metrics.md")
+    "docs/agents/dac.md", "docs/agents/ppo.md", "docs/agents/sac.md", "docs/agents/td3.md", "docs/cookbook.md",
+    "docs/data.md", "docs/extend/robot.md", "docs/hierarchies.md", "docs/ladder.md", "docs/metrics.md",
+    "docs/observations.md", "docs/options.md", "docs/planning/arm.md", "docs/planning/robots.md",
+    "docs/planning/trajectories.md", "docs/reproducibility.md", "docs/third_party.md")
 @pytest.mark.parametrize("page", pages_with("python"), ids=name_page)
 def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A page's blocks in order, as one program."""
@@ -49,10 +51,11 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.nightly_for(
-    "docs/hierarchies.md", "docs/agents/offline.md", "docs/data.md", "docs/ladder.md", "docs/agents/index.md",
-    "docs/viewer.md", "docs/agents/fun.md", "docs/agents/hrac-finite.md", "docs/agents/torchrl-dqn.md",
-    "docs/agents/torchrl-ppo.md", "docs/agents/torchrl-sac.md", "docs/agents/td3.md", "docs/agents/hrac.md",
-    "docs/agents/sac.md")
+    "docs/agents/dac.md", "docs/agents/deep-abstract-q.md", "docs/agents/feudal-rl.md", "docs/agents/fun.md",
+    "docs/agents/hac-finite.md", "docs/agents/hrac-finite.md", "docs/agents/hrac.md", "docs/agents/index.md",
+    "docs/agents/offline.md", "docs/agents/r-maxq.md", "docs/agents/sac.md", "docs/agents/td3.md",
+    "docs/agents/torchrl-dqn.md", "docs/agents/torchrl-ppo.md", "docs/agents/torchrl-sac.md", "docs/data.md",
+    "docs/hierarchies.md", "docs/ladder.md", "docs/planners.md", "docs/viewer.md")
 @pytest.mark.parametrize("page", pages_with("console"), ids=name_page)
 def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     monkeypatch.chdir(tmp_path)

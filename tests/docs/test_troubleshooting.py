@@ -129,6 +129,7 @@ def list_shown() -> list[str]:
     return [show(block) for block in re.findall(r"```text\n(.+?)```", PAGE.read_text(encoding="utf-8"), re.S)]
 
 
+@pytest.mark.nightly_for("GenerationError")
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_message_on_the_page_is_the_message_of_the_package(
         name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -23,6 +23,7 @@ def run(words: ModuleType, monkeypatch: pytest.MonkeyPatch, *arguments: str) -> 
     return words.main()
 
 
+@pytest.mark.nightly
 def test_checked_folders_pass(words: ModuleType, monkeypatch: pytest.MonkeyPatch):
     assert all(words.list_files(place) for place in words.ALL)
     assert run(words, monkeypatch) == 0

@@ -71,7 +71,7 @@ def test_stable_baselines3s_checker_finds_nothing(name, kind):
         env.close()
 
 
-@pytest.mark.nightly_for("hrl_escape/PuddleWorld-v1-state")
+@pytest.mark.nightly_for("hrl_escape/PuddleWorld-v1-egocentric", "hrl_escape/PuddleWorld-v1-state")
 @pytest.mark.parametrize(("name", "kind"), cover(IDS, KINDS))
 def test_observations_are_as_documented(name, kind):
     env = gymnasium.make(name, observation=kind)

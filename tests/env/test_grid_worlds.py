@@ -249,6 +249,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
     get_preset("foraging"),
 ], ids=lambda c: c.name)
+@pytest.mark.nightly_for("taxi")
 def test_both_engines_agree_on_the_grid(config):
     found = compare([generate(config, 0)], 3_000, copies=30)
     assert not found.disagreements, found.disagreements[0]

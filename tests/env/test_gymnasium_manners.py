@@ -21,7 +21,8 @@ LARGE = [2**63 - 1, 2**63, 2**64 - 1, 2**64, 2**70 + 1]
 STARTS = {"config": "clutter"}  # its robot starts in many places
 
 
-@pytest.mark.nightly_for("hrl_escape/EscapeRoomOptions-v1-9223372036854775807")
+@pytest.mark.nightly_for(
+    "hrl_escape/EscapeRoomOptions-v1-18446744073709551615", "hrl_escape/EscapeRoomOptions-v1-9223372036854775807")
 @pytest.mark.parametrize("seed", thin(LARGE, 2))
 @pytest.mark.parametrize("name", ["hrl_escape/EscapeRoom-v1", "hrl_escape/EscapeRoomOptions-v1", VELOCITIES])
 def test_a_seed_of_any_size_begins_the_same_episode_alone_and_in_a_batch(name, seed):

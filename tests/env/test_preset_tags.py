@@ -9,6 +9,7 @@ from hrl_escape.env.presets import TAGS
 from hrl_escape.errors import UnknownNameError
 
 
+@pytest.mark.nightly_for("puddle-world")
 @pytest.mark.parametrize("name", PRESETS)
 def test_tags_agree_with_the_configuration(name: str):
     config = get_preset(name)

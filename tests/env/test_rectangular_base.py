@@ -107,7 +107,7 @@ def test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_h
 # --- physics --------------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("strafing")
+@pytest.mark.nightly_for("differential", "strafing")
 @pytest.mark.parametrize("drive", ["strafing", "differential"])
 def test_rigid_rectangles_stop_at_walls_turn_as_far_as_they_can_and_states_can_be_set(drive):
     env = EscapeRoomEnv(instance=generate(with_physics(change(SMALL, drive=drive)), 3))

@@ -47,7 +47,7 @@ def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episode
     assert result.evaluations[-1].mean_return >= best - 0.1 * (best + 1000), "within a tenth of the whole range"
 
 
-@pytest.mark.nightly_for("maxq", "ham")
+@pytest.mark.nightly_for("landmarks", "maxq", "ham")
 @pytest.mark.parametrize("kind", ["maxq", "ham", "landmarks"])
 def test_where_presses_can_be_undone_no_task_undoes_them(kind):
     """Bits can be cleared as well as set, and nothing that opens the exit needs one cleared."""

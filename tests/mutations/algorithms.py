@@ -11,7 +11,7 @@ MUTATIONS = [
              "torch.minimum(*", "torch.maximum(*", "agents/algorithms/continuous/test_flat.py::"
              "test_td3_s_targets_smooth_the_target_action_and_take_the_smaller_critic"),
     Mutation("the worker's goal is stale after a move", "agents/algorithms/continuous/hiro.py::Hiro.observe",
-             "left = point + goal - next_point", "left = goal + 0 * (point - next_point)",
+             "left = windows.points[at] + goal - next_point", "left = goal + 0 * (windows.points[at] - next_point)",
              "agents/algorithms/continuous/test_hiro.py::"
              "test_both_levels_store_what_happened_and_only_the_environment_pays_the_manager"),
     Mutation("the worker's task ends with its window", "agents/algorithms/continuous/hiro.py::Hiro.observe",

@@ -99,7 +99,7 @@ def replay(agent, env, seed):
             return calls
 
 
-@pytest.mark.nightly_for("maxq-q")
+@pytest.mark.nightly_for("feudal-rl", "maxq-q")
 @pytest.mark.parametrize("name", HIERARCHICAL)
 def test_the_calls_of_a_hierarchy_are_options_that_run_as_they_ran_inside_it(name):
     make_env, make_hierarchical = HIERARCHICAL[name]

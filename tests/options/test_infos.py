@@ -51,6 +51,7 @@ def play(name, steps=12):
     return seen
 
 
+@pytest.mark.nightly_for("hrl_escape/PuddleWorldOptions-v1")
 @pytest.mark.parametrize("name", thin(IDS, 14, 4))
 def test_equal_runs_give_equal_infos(name):
     """In the second run all plans are in the planner's cache."""

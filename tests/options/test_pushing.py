@@ -22,7 +22,7 @@ def escape(env, seed):
     return run, [not before <= after for before, after in zip(facts[:-1], facts[1:], strict=True)]
 
 
-@pytest.mark.nightly_for("32")
+@pytest.mark.nightly_for("14", "32")
 @pytest.mark.parametrize("seed", [14, 32])
 def test_the_way_out_leaves_the_block_on_its_plate(seed):
     """The straight way from the last push to the exit of these rooms leads through the block."""

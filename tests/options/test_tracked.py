@@ -84,6 +84,7 @@ def test_targets_are_pressed_under_physics():
     ("arm-two-button", 2),  # a hand that slides over the panel it has pressed does not press it again
     ("arm-two-button", 14),  # a joint that physics left beyond its limit
 ])
+@pytest.mark.nightly_for("paper-random-0")
 def test_every_option_of_an_escape_ends_as_planned_under_physics(name, seed):
     escaped, faults, _ = drive(list_configs()[name], seed, "auto")
     assert escaped and not any(faults)

@@ -36,7 +36,7 @@ def recall(history, lit):
     return found
 
 
-@pytest.mark.nightly_for("1-reset")
+@pytest.mark.nightly_for("64-ignore", "1-reset")
 @pytest.mark.parametrize(("count", "rule"), [(1, "reset"), (64, "ignore")])
 def test_every_room_remembers_its_own_decisions(count, rule):
     streams, rng = VectorDecisionMemory(make_streams(count, rule)), np.random.default_rng(0)

@@ -71,7 +71,7 @@ def start(planner):
 # --- plans come true -------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for(
+@pytest.mark.nightly_for("puddle-world-fields", 
     "twenty-button-fields", "hanoi-corridor", "puddle-world-corridor", "recipes-fields", "ten-button-corridor",
     "potions-corridor", "deep-sea-corridor", "pin-pad-corridor")
 @pytest.mark.parametrize(("name", "method"), cover(KINEMATIC, ["fields", "corridor"]))

@@ -21,6 +21,7 @@ from hrl_escape.sets.benchmark import compute_root
 FAMILY = GraphConfig("layered", max_parents=2, family=3, code=5)
 
 
+@pytest.mark.nightly
 def test_a_season_has_its_own_code_and_rooms_which_its_sets_share():
     first, second = (load_benchmark(f"cues-1@{season}")["symbols"] for season in (0, 7))
     assert load_benchmark("cues-1")["symbols"].config == first.config

@@ -176,6 +176,7 @@ def test_rooms_are_what_the_page_says(study):
         assert 1 <= max(map(needy.count, needy)) <= 2, "some button needs another"
 
 
+@pytest.mark.nightly_for("given")
 @pytest.mark.parametrize(("study", "agent", "first"), [
     (GIVEN_HIERARCHIES, "hamq+planned", 36),
     pytest.param(LEARNED_HIERARCHIES, "smdp-hrc", 57, marks=pytest.mark.slow),

@@ -37,6 +37,7 @@ def test_runs_resume_and_none_begins_once_the_time_is_up(tmp_path: Path):
     assert made == jobs and [line.first_escape for line in store.load()] == [1, 2, 3]
 
 
+@pytest.mark.nightly
 def test_a_known_ratio_is_found_and_censored_runs_do_not_pull_it_to_1():
     rng = np.random.default_rng(1)
     search = np.exp(rng.normal(6.0, 0.3, 300))

@@ -107,6 +107,7 @@ def test_runs_that_gave_up_stay_in_the_denominator():
     assert answer(left_out, DATA)[0] == other, "what was given up counts as having given up"
 
 
+@pytest.mark.nightly
 def test_all_answers_are_one_family():
     """A difference that one test alone would show is open among sixteen, and its interval holds 1."""
     rng = np.random.default_rng(11)

@@ -90,6 +90,7 @@ def test_axes_with_too_few_rooms_are_left_out():
             STUDY.analysis.analyse(STUDY, lacking)
 
 
+@pytest.mark.nightly
 def test_a_real_rung_gives_lines_of_both_kinds(tmp_path: Path):
     args = STUDY.analysis.Args(docs=tmp_path, out=tmp_path / "runs", rung=("memory-1", "motion-1"), rooms=1, workers=1,
                                agents=(SEARCH_BASELINES[0], TABLE, MOVERS[0]), primitives=300)

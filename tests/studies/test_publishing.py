@@ -120,6 +120,7 @@ def test_an_interval_is_written_with_its_mean():
     assert format_interval(SimpleNamespace(mean=26.4, low=19.0, high=36.0), ".0f") == "26 (19 to 36)"
 
 
+@pytest.mark.nightly_for("all-algorithms")
 @pytest.mark.parametrize("name", list_pages())
 def test_a_published_page_is_what_its_data_give(name: str):
     """The claims of each page are held against the committed raw data here."""

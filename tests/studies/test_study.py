@@ -55,6 +55,7 @@ def call(*arguments: str) -> subprocess.CompletedProcess[str]:
     return run_module("studies", *arguments, cwd=ROOT.parent)
 
 
+@pytest.mark.nightly
 def test_a_new_study_is_a_folder_of_fewer_than_60_lines(planted: Path, capsys: pytest.CaptureFixture[str]):
     assert sum(len((planted / name).read_text().splitlines()) for name in ("study.toml", "analysis.py")) < 60
     docs = planted.parent / "docs"

@@ -149,6 +149,7 @@ def relabel(room: RoomInstance) -> RoomInstance:
     return dataclasses.replace(room, puzzle=puzzle)
 
 
+@pytest.mark.nightly_for("60")
 @pytest.mark.parametrize("count", [60, pytest.param(400, marks=pytest.mark.slow)])
 def test_neither_number_nor_place_tells_the_rank_of_a_button(count: int):
     rooms = list_rooms("chain-3", count)

@@ -102,6 +102,7 @@ def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
         load_games(tmp_path / "cut.jsonl")
 
 
+@pytest.mark.nightly
 def test_a_recorded_model_plays_the_game_again_and_no_other(file: Path):
     game = load_games(file)[1]
     env, recorder = make_env(game.room)

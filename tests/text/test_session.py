@@ -179,6 +179,7 @@ def listen(room: RoomInstance, reveal: str) -> list[str]:
     return [turn.text for turn in session.transcript] + [session.reset()]
 
 
+@pytest.mark.nightly_for("blocks and plates")
 @pytest.mark.parametrize("make_room", [lambda: get_room("doors"), lambda: generate(get_preset("push-block"), 0)],
                          ids=["buttons and doors", "blocks and plates"])
 def test_names_are_what_is_left_of_places_without_any_place(make_room: Callable[[], RoomInstance]):

@@ -95,6 +95,7 @@ def test_watching_says_failed(failed):
     assert [line for line in watch.events if ", return " in line][0].split("  ")[1].startswith("failed")
 
 
+@pytest.mark.nightly_for("bells")
 def test_agents_over_options_are_told_of_no_success(failed):
     episode, _ = failed
     chosen = [episode.names.index(move.name) for move in episode.moves]

@@ -74,6 +74,7 @@ def test_an_impossible_address_is_refused_at_once(host: str, port: int):
         open_server(host, port)
 
 
+@pytest.mark.nightly
 def test_without_the_extra_one_message_names_it_and_rooms_do_without():
     """In one process, for its imports are slow: three commands that need the extra and one that does not."""
     code = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None\n"

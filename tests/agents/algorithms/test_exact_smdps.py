@@ -104,7 +104,7 @@ def pay_for(smdp, goal):
     )  # fmt: skip
 
 
-@pytest.mark.nightly_for("0", "2")
+@pytest.mark.nightly_for("1", "0", "2")
 @pytest.mark.parametrize("seed", SEEDS)
 def test_ways_to_goals_are_worth_the_discount_of_their_last_primitive(seed):
     env = make_env(seed)
@@ -200,7 +200,7 @@ def solve_graph(smdp):
     return inner[:, 1:], solve(whole, GAMMA)
 
 
-@pytest.mark.nightly_for("stack-3", "maxq-q-0")
+@pytest.mark.nightly_for("r-maxq-2", "stack-3", "maxq-q-0")
 @pytest.mark.parametrize(("name", "seed"), cover(list(GRAPH_MAKERS), RETURNING))
 def test_tasks_are_worth_what_they_earn_also_where_they_get_stuck(name, seed):
     """Learners of a stack bootstrap where a call is cut, in their own view, which is exact for the task below alone."""

@@ -93,7 +93,7 @@ def live(agent, count, length):
     return lives, order
 
 
-@pytest.mark.nightly_for("1-True-4096-3")
+@pytest.mark.nightly_for("3-False-4096-3", "1-True-4096-3")
 @pytest.mark.parametrize(("count", "length"), COUNTS)
 @pytest.mark.parametrize(("n", "double"), [(1, True), (3, False)])
 def test_targets_of_dqn_are_sums_over_primitives_and_the_best_legal_action(count, length, n, double):
@@ -117,7 +117,7 @@ def test_targets_of_dqn_are_sums_over_primitives_and_the_best_legal_action(count
     assert (batch.mask.numpy() == [life.decisions[place][0].action_mask for life, place in order]).all()
 
 
-@pytest.mark.nightly_for("primitive-4096-3")
+@pytest.mark.nightly_for("decision-4096-3", "primitive-4096-3")
 @pytest.mark.parametrize(("count", "length"), COUNTS)
 @pytest.mark.parametrize("lambda_per", ["decision", "primitive"])
 def test_advantages_of_ppo_are_discounted_sums_of_errors_and_chances_are_those_of_the_choice(count, length, lambda_per):

@@ -135,7 +135,7 @@ EXACT = {
 }
 
 
-@pytest.mark.nightly_for("r-max-16000", "sarsa-16000", "q-learning-16000")
+@pytest.mark.nightly_for("q-learning-8000", "r-max-16000", "sarsa-16000", "q-learning-16000")
 @pytest.mark.parametrize(("name", "primitives"), [
     pytest.param("dqn", 16_000, marks=pytest.mark.slow), ("sarsa", 16_000), ("q-learning", 16_000), ("r-max", 16_000),
     ("q-learning", 8_000)])

@@ -444,7 +444,7 @@ except FileWriteError as error:
 """
 
 
-@pytest.mark.nightly_for("3000-log.jsonl")
+@pytest.mark.nightly_for("1200-checkpoint.npz", "3000-log.jsonl")
 @pytest.mark.parametrize(("limit", "file"), [(3_000, "log.jsonl"), (1_200, "checkpoint.npz")])
 def test_a_full_disk_is_one_clear_error_and_spoils_nothing(tmp_path, limit, file):
     done = run_fork(FULL_DISK, tmp_path / "run", limit, cwd=ROOT)

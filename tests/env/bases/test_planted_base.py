@@ -152,6 +152,7 @@ print(find_heights.stats.cache_path, choose_points.stats.cache_path)
 """
 
 
+@pytest.mark.nightly
 def test_it_keeps_what_was_compiled_without_it():
     """Kernels that contain no base are shared; the others lie in folders of their own, both of which stay valid."""
     with_it, without, again = (run_fork(FOLDERS, name, check=True, environment=os.environ | {

@@ -51,7 +51,7 @@ def count_blue(picture):
     return int(((blue > 60) & (blue > 1.5 * green) & (blue > 2 * red)).sum())
 
 
-@pytest.mark.nightly_for(
+@pytest.mark.nightly_for("puddle-world", 
     "many-obstacles", "noisy", "light-box", "four-rooms", "dead-ends", "multi-room", "lights-out", "smallest",
     "potions", "foraging", "paper-one-button", "clutter", "sokoban")
 @pytest.mark.parametrize("name", thin([*PRESETS, *EXTREMES], 3))

@@ -8,6 +8,7 @@ from hrl_escape.env import bullet
 from tests.command_line import run_python
 
 
+@pytest.mark.nightly
 def test_importing_an_engine_module_writes_nothing():
     done = run_python("import hrl_escape.env.bullet.engine")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -29,6 +29,7 @@ QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
 """Without those that take seconds a sample; they have tests of their own."""
 
 
+@pytest.mark.nightly_for("5")
 @pytest.mark.parametrize("examples", [5, pytest.param(40, marks=pytest.mark.nightly)])
 def test_generation_is_pure_and_certified(examples):
     @settings(max_examples=examples)
@@ -46,6 +47,7 @@ def test_generation_is_pure_and_certified(examples):
     check()
 
 
+@pytest.mark.nightly
 def test_a_room_asked_for_again_is_the_same_object_until_many_others_were(nothing_kept):
     config = get_preset("four-button-chain")
     first = generate(config, 0)
@@ -153,6 +155,7 @@ def test_another_process_generates_the_same_instances():
     assert printed == [generate(get_preset(name), 5).id for name in sorted(PRESETS)[::4]]
 
 
+@pytest.mark.nightly
 def test_impossible_room_configurations_say_which_constraint_failed():
     with pytest.raises(GenerationError, match="obstacles"):
         generate(RoomConfig(room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=0.7),

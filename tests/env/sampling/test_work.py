@@ -41,6 +41,7 @@ def test_what_cannot_be_met_is_refused_once_the_budget_is_spent(config, spent):
     assert spent[0].done < 1.3 * generation.LARGEST_WORK
 
 
+@pytest.mark.nightly_for("1")
 @pytest.mark.parametrize("count", [1, pytest.param(4, marks=pytest.mark.nightly)])
 def test_no_room_configuration_costs_much_more_than_the_budget(spent, count):
     rng = np.random.default_rng(5)

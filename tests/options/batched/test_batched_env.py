@@ -178,7 +178,7 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
 # --- agreement with planned options --------------------------------------------------------
 
 
-@pytest.mark.nightly_for("door-0.05", "inner-doors-0.05")
+@pytest.mark.nightly_for("coarse-steps-0.15", "door-0.05", "inner-doors-0.05")
 @pytest.mark.parametrize(("name", "most"), [
     pytest.param("clutter", 0.05, marks=pytest.mark.slow), ("door", 0.05), ("inner-doors", 0.05),
     ("coarse-steps", 0.15)])

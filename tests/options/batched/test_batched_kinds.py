@@ -106,7 +106,7 @@ def test_each_room_does_what_options_env_does(kind):
     assert expected.get(kind, "reached") in endings
 
 
-@pytest.mark.nightly_for("press-with-ancestors")
+@pytest.mark.nightly_for("press", "press-with-ancestors")
 @pytest.mark.parametrize("option_set", ["press", "press-with-ancestors"])
 def test_doors_between_rooms_open_for_good_and_mask_what_is_behind_them(option_set):
     room, arguments = generate(get_preset("inner-doors"), 0), {"option_set": option_set, "include_primitives": False}
@@ -149,7 +149,7 @@ def test_ancestors_are_pressed_first_and_what_is_on_is_not_pressed_again():
     assert int(step_room(env, 0, last).pressed) == 1 << last
 
 
-@pytest.mark.nightly_for("with ancestors", "interrupted and worse")
+@pytest.mark.nightly_for("stopping", "with ancestors", "interrupted and worse")
 @pytest.mark.parametrize("kind", ["with ancestors", "stopping", "interrupted and worse"])
 def test_ragged_decisions_add_up_to_the_return_of_their_primitives(kind):
     """The oracle of SMDPs: R_0 + gamma^k_0 R_1 + ... is the discounted return of the episode, however it was cut."""

@@ -77,6 +77,7 @@ def is_grip(goal):
     {}, {"option_set": "press-with-ancestors"}, {"options": OptionDegradation(detour=3, missing=0.3, seed=1)},
     {"interruptible": True, "max_duration": 6, "options": OptionDegradation(failure=0.2, early_stop=0.1, seed=2)},
 ], ids=["whole", "with ancestors", "worse", "interrupted"])
+@pytest.mark.nightly_for("whole-foraging")
 def test_each_room_does_what_options_env_does(name, arguments):
     rooms, arguments = ROOMS[name](), {**arguments, "include_primitives": False, "discount": 0.9}
     env = BatchedOptionsEnv(4 * len(rooms), instance=rooms, **arguments)

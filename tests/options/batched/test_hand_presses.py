@@ -55,7 +55,7 @@ def test_rooms_pressed_by_hand_go_on_without_the_planner():
     assert env._host_planner._planners == {}, "no planner was ever asked"
 
 
-@pytest.mark.nightly_for("seven")
+@pytest.mark.nightly_for("arm", "seven")
 @pytest.mark.parametrize(("config", "least"), [(ARM, 5), (SEVEN, 1)], ids=["arm", "seven"])
 def test_every_press_by_hand_is_one_that_the_exact_rules_of_the_room_make(config, least):
     """Each state is reached from the one before by one primitive of the scalar rules, with the same presses."""

@@ -41,7 +41,7 @@ def test_a_step_is_one_decision_of_every_room_with_the_fields_of_options_env():
     assert not terminated.any() and not truncated.any()
 
 
-@pytest.mark.nightly_for("Disabled")
+@pytest.mark.nightly_for("SameStep", "Disabled")
 @pytest.mark.parametrize("mode", MODES)
 def test_episodes_end_and_begin_anew_in_each_way_and_no_outcome_is_of_the_next(mode):
     many = make(4, autoreset_mode=mode, include_primitives=False, output="torch")

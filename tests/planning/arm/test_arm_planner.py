@@ -355,6 +355,7 @@ THREE_JOINTS = """<link name="fore"><collision><origin xyz="0.2 0 0"/><geometry>
 <limit lower="-1.5" upper="1.5" effort="10" velocity="1"/></joint>"""
 
 
+@pytest.mark.nightly
 def test_a_path_keeps_half_its_clearance_by_bullet():
     """From solids and the floor; where start or goal is nearer, half that distance counts."""
     urdf = make_arm(rest=THREE_JOINTS, limit='<limit lower="-3" upper="3" effort="10" velocity="1"/>')

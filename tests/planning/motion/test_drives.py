@@ -74,7 +74,7 @@ def drive_round(room: RoomInstance) -> list[tuple[TimedTrajectory, int, int]]:
     return found
 
 
-@pytest.mark.nightly_for("clutter-0", "clutter-3", "paper-random-3")
+@pytest.mark.nightly_for("paper-two-button-0", "clutter-0", "clutter-3", "paper-random-3")
 @pytest.mark.parametrize(("name", "seed"), ROOMS)
 def test_every_way_presses_its_target_alone_sweeps_no_solid_and_never_goes_sideways(name, seed):
     room = make(name, seed)

@@ -35,7 +35,7 @@ def make(config, seed: int = 0, **settings):
     return planner, MotionSampler(planner.instance, LIMITS, **settings), state
 
 
-@pytest.mark.nightly_for("ten-button, driving rectangle")
+@pytest.mark.nightly_for("paper-two-button", "ten-button, driving rectangle")
 @pytest.mark.parametrize("name", ["paper-two-button", "ten-button, driving rectangle", *(
     pytest.param(name, marks=pytest.mark.slow)
     for name in ("inner-doors", "clutter", "arm-two-button", "arm-four-joints", "clutter, differential",

@@ -54,7 +54,7 @@ def make_boom(effort: float, mass: float = 2.0) -> RobotConfig:
 # --- presses ---------------------------------------------------------------------------------
 
 
-@pytest.mark.nightly_for("potions-0", "arm-two-button-0")
+@pytest.mark.nightly_for("lights-out, differential-0", "potions-0", "arm-two-button-0")
 @pytest.mark.parametrize(("name", "seed"), [
     ("potions", 0), pytest.param("pin-pad", 0, marks=pytest.mark.slow),
     pytest.param("deep-sea", 0, marks=pytest.mark.slow), ("arm-two-button", 0), ("lights-out, differential", 0)])

@@ -82,7 +82,7 @@ def test_the_text_is_what_planners_read():
     assert "(:init (on button-1))" in make_problem(model, frozenset({"on(button-1)"}))
 
 
-@pytest.mark.nightly_for("5.0-fast-downward-opt")
+@pytest.mark.nightly_for("None-fast-downward", "5.0-fast-downward-opt")
 @pytest.mark.parametrize(("dear", "engine"), [(None, "fast-downward"), (5.0, "fast-downward-opt")])
 def test_conditional_effects_and_costs_are_read_and_heeded_by_an_independent_planner(
         dear, engine, monkeypatch, nothing_kept):

@@ -107,6 +107,7 @@ def test_data_stays_inside_its_script(recording: EpisodeRecording):
     assert not set(inside[1]) & set("<>&")
 
 
+@pytest.mark.nightly
 def test_manual_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: Server, browser: Browser,
                                                  tmp_path: Path):
     game = PlayPage(server, Episode(hostile), tmp_path, stride=0.0)
@@ -127,6 +128,7 @@ def test_manual_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: 
         thread.join(600)
 
 
+@pytest.mark.nightly
 def test_watch_mode_shows_hostile_names_as_text(hostile: RoomInstance, server: Server, browser: Browser):
     gate = Gate(None, paused=True)
     driver = dataclasses.replace(open_driver("oracle", hostile), name=CODE)

@@ -26,6 +26,7 @@ def read_line(content: dict, buffers: list[bytes], name: str) -> np.ndarray:
     return np.frombuffer(buffers[lines[-1]["points"]["__binary_index"]], dtype=np.float32).reshape(-1, 2, 3)
 
 
+@pytest.mark.nightly
 def test_a_page_moves_base_and_hand_along_the_trajectory_in_its_time():
     room = generate(get_preset("arm-two-button"), 3)
     planner = RoomPlanner(room)
@@ -51,6 +52,7 @@ def test_a_trajectory_of_another_robot_is_refused_by_the_names_of_its_joints(two
         make_motion(trajectory, two_buttons)
 
 
+@pytest.mark.nightly
 def test_the_command_writes_a_plan_as_motion(tmp_path: Path, capfd):
     assert main(["solve", "--room", "paper-one-button", "--draw", str(tmp_path / "way.html")]) == 0
     assert "<title>paper-one-button: " in (tmp_path / "way.html").read_text()
