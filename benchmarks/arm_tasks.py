@@ -282,7 +282,7 @@ def clutter(arm: Arm, rng: np.random.Generator, count: int = 6) -> Arm:
     return arm
 
 
-def plan_motions(arm: Arm, count: int, picture: Path | None = None, budget: int = 30_000) -> dict[str, float]:
+def plan_motions(arm: Arm, count: int, picture: Path | None = None, budget: int = 100_000) -> dict[str, float]:
     """Plan motions between free postures, the first from home, and check all of them.
 
     A picture shows the arm at home among its obstacles.
@@ -450,6 +450,8 @@ class Args:
     """Folder of example-robot-data; the installed one by default."""
     plans: int = 50
     """Motions of each robot."""
+    budget: int = 100_000
+    """Configurations that a search may test; the default is that of `Arm.plan`."""
     robots: tuple[str, ...] = ()
     """Only these robots."""
     pictures: Path | None = None
@@ -470,7 +472,7 @@ def run(args: Args) -> int:
         if args.plans and (not args.robots or name in args.robots):
             arm = make()
             picture = args.pictures and args.pictures / f"arm-{name.lower().replace(' ', '-')}.png"
-            found = plan_motions(arm, args.plans, picture)
+            found = plan_motions(arm, args.plans, picture, args.budget)
             is_good &= (found["clearance mm"] > 0.0 and found["own mm"] > -1000 * HULL_MARGIN
                         and found["strain"] <= 1.0 + 1e-6)
             print(f"{name}, {len(arm.joint_names)} joints: " + ", ".join(f"{key} {value:.3g}"
