@@ -21,6 +21,7 @@ from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.continuous import EscapeRoomContinuousEnv
@@ -129,7 +130,8 @@ def measure_peaks(trajectory: TimedTrajectory, limits: MotionLimits) -> dict[str
     times = trajectory.sample(1000.0)[0]
     spans = np.diff(trajectory.times)
     starts = trajectory.times[:-1]
-    cubic, square, linear = trajectory._spline.c[:3]  # (intervals, coordinates) each
+    spline = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)
+    cubic, square, linear = spline.c[:3]  # (intervals, coordinates) each
     with np.errstate(divide="ignore", invalid="ignore"):
         plane = -((square * linear)[:, :2].sum(axis=1)) / np.maximum(2.0 * (square**2)[:, :2].sum(axis=1), 1e-300)
         tops = np.column_stack([-square / (3.0 * cubic), plane])

@@ -25,12 +25,10 @@ from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import EpisodeEnd
-from hrl_escape.env.pictures.video import save_video
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.figures import VIDEO_FORMATS, check_picture_name
 from hrl_escape.names import make_console_text
 from hrl_escape.options.closed_loop import ClosedLoopExecution, pursue
-from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.plan import Execution, Plan
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import save_pddl
@@ -163,6 +161,7 @@ def _make_decision_table(execution: ClosedLoopExecution) -> Table:
 def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs) -> None:
     states = outcome.run.states
     if path.suffix.lower() == f".{MOTION_ENDING}":
+        from hrl_escape.planning.motion.trajectory import make_trajectory
         from hrl_escape.viewer.pages.offline import save_motion  # needs the extra `viewer`
 
         if outcome.plan is None:
@@ -170,6 +169,8 @@ def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs
                                    "way; `hrl-escape record` makes a page of an episode")
         save_motion(path, make_trajectory(outcome.plan), instance, states[0])
     elif path.suffix.lower().lstrip(".") in VIDEO_FORMATS:
+        from hrl_escape.env.pictures.video import save_video
+
         save_video(path, film(instance, states, args.camera))
     elif outcome.plan is not None:
         outcome.plan.draw(path)

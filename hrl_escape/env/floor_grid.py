@@ -8,7 +8,6 @@ robots.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,11 +94,35 @@ def label_parts(free: NDArray[np.bool_], corners: bool) -> NDArray[np.int32]:
     columns, rows = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
     if len(columns) and free[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1].all():
         return free.astype(np.int32)  # an empty room: one rectangle
-    from scipy import ndimage  # imported here because empty rooms do not need it
+    runs = _list_runs(free)
+    parent = list(range(len(runs)))
 
+    def find_root(run: int) -> int:
+        while parent[run] != run:
+            parent[run] = run = parent[parent[run]]
+        return run
+
+    before = 0  # the first run of the last column that may meet this run or a later one
+    for run, (column, low, high) in enumerate(runs):
+        while runs[before][0] < column - 1 or (runs[before][0] == column - 1 and runs[before][2] + corners <= low):
+            before += 1
+        other = before
+        while runs[other][0] == column - 1 and runs[other][1] < high + corners:
+            one, two = sorted((find_root(other), find_root(run)))
+            parent[two] = one
+            other += 1
     labels = np.zeros(free.shape, dtype=np.int32)
-    ndimage.label(free, structure=np.ones((3, 3)) if corners else None, output=labels)
+    numbers = dict[int, int]()
+    for run, (column, low, high) in enumerate(runs):
+        labels[column, low:high] = numbers.setdefault(find_root(run), len(numbers) + 1)
     return labels
+
+
+def _list_runs(free: NDArray[np.bool_]) -> list[tuple[int, int, int]]:
+    """List the runs of free cells in each column: the column, the first row and the row after the last."""
+    edges = np.diff(np.pad(free, ((0, 0), (1, 1))).view(np.int8), axis=1)
+    columns, low = np.nonzero(edges > 0)
+    return list(zip(columns.tolist(), low.tolist(), np.nonzero(edges < 0)[1].tolist(), strict=True))
 
 
 def coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
@@ -110,23 +133,20 @@ def coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
     return np.any(whole.reshape(columns // stride, stride, rows // stride, stride), axis=(1, 3))
 
 
-def join_cells(free: NDArray[np.bool_]) -> Any:
-    """Return the graph of free cells and their neighbours, a sparse matrix (cells, cells)."""
-    from scipy import sparse  # imported here because only searches need it
+def spread_waves(free: NDArray[np.bool_], seeds: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return the fewest moves between neighbouring free cells from any seed to each cell; infinity if unreachable.
 
-    numbers = np.arange(free.size).reshape(free.shape)
-    across, along = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
-    one = np.concatenate([numbers[1:][across], numbers[:, 1:][along]])
-    other = np.concatenate([numbers[:-1][across], numbers[:, :-1][along]])
-    return sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(free.size, free.size))
-
-
-def spread_waves(graph: Any, seeds: NDArray[np.int_] | Sequence[int], weighted: bool = False) -> NDArray[np.float64]:
-    """Return the lowest cost from any seed to every node of a sparse graph, (nodes,); infinity if unreachable.
-
-    By default edges have both directions and cost 1. With `weighted` they lead from row to column at the cost in the
-    matrix.
+    Args:
+        free: cells that moves may enter, bool (columns, rows).
+        seeds: cells at 0 moves, bool (columns, rows).
     """
-    from scipy.sparse import csgraph
-
-    return csgraph.dijkstra(graph, directed=weighted, indices=seeds, unweighted=not weighted, min_only=True)
+    left, waves = np.pad(free & ~seeds, 1), np.full((free.shape[0] + 2, free.shape[1] + 2), np.inf)
+    waves[1:-1, 1:-1][seeds] = 0.0
+    front, count = np.flatnonzero(np.pad(seeds & free, 1)), 0
+    neighbours = np.array([[left.shape[1]], [-left.shape[1]], [1], [-1]])
+    while front.size:
+        count += 1
+        reached = (front + neighbours).ravel()
+        front = np.unique(reached[left.ravel()[reached]])
+        left.ravel()[front], waves.ravel()[front] = False, count
+    return waves[1:-1, 1:-1]

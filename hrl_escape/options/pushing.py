@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
 
-from hrl_escape.env.floor_grid import FloorGrid, spread_waves
+from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -82,11 +81,13 @@ class PushField:
             sinks += [layer + ahead[moves], layer + np.flatnonzero(stands), np.arange(cells)]
             costs += [np.full(len(moves), length / self._instance.robot.actions.stride),
                        np.full(int(stands.sum()), CHANGE), np.full(cells, 1e-6)]
+        from scipy.sparse import coo_array, csgraph  # loads slowly
+
         size = (len(SIDES) + 1) * cells
         graph = coo_array((np.concatenate(costs), (np.concatenate(sinks), np.concatenate(sources))), (size, size))
         away = np.abs(points - self.goal).max(axis=1)
         seeds = np.flatnonzero(away <= max(CELL, self.goal_half / 2))
-        return spread_waves(graph.tocsr(), seeds, weighted=True)[:cells]
+        return csgraph.dijkstra(graph.tocsr(), indices=seeds, min_only=True)[:cells]
 
     def get_cost(self, x: float, y: float) -> float:
         """Return the cost-to-go of a place; infinity outside the floor."""

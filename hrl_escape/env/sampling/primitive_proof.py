@@ -18,13 +18,13 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Hashable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import CONTACT_SKIN, PASSAGE_SLACK
-from hrl_escape.env.floor_grid import coarsen, join_cells, spread_waves
+from hrl_escape.env.floor_grid import coarsen, spread_waves
 from hrl_escape.env.geometry import compute_distance, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
@@ -136,7 +136,6 @@ class _Search:
         self._alike = alike if instance.dynamics.press_with == "body" else self._rules.headings
         self._stride = math.ceil(math.sqrt(max(1.0, floors.shut.free.size / _MOST_CELLS)))
         self._distances: dict[int, NDArray[np.float64]] = {}
-        self._graphs: dict[bool, Any] = {}
         self._base_actions = self._rules.actions.base
         self._hands: NDArray[np.float64] | None = None
         self._joint_steps = np.zeros((0, 0), dtype=np.int64)
@@ -302,11 +301,9 @@ class _Search:
             else:
                 shape = stack_footprints([self._instance.targets[index].footprint])
                 near = compute_distance_many(centres, shape) <= reach + PASSAGE_SLACK + 2 * space.resolution
-            is_open = index < 0
-            if is_open not in self._graphs:
-                self._graphs[is_open] = join_cells(free)
             self._work.spend(len(cells) / 2)
-            self._distances[index] = _spread(self._graphs[is_open], free, near.reshape(free.shape))
+            seeds = near.reshape(free.shape)
+            self._distances[index] = spread_waves(free, seeds & free if (seeds & free).any() else seeds)
         return self._distances[index]
 
     # --- one leg -----------------------------------------------------------------------
@@ -345,16 +342,18 @@ class _Search:
     def _estimate(self, x: float, y: float, goal: _Goal) -> float:
         space, stride = self._floors.shut, self._stride
         i, j = space.find_cell(x, y)
-        waves = float(goal.distances[i // stride, j // stride])
+        waves = read_nearest(goal.distances, i // stride, j // stride)
         return max(waves * stride * space.resolution, goal.measure(x, y))
 
 
-def _spread(graph: Any, free: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Waves from cells `near` a goal over free cells; other cells get the value of the nearest reached cell."""
-    from scipy import ndimage
-
-    seeds = near & free
-    begun = np.flatnonzero(seeds if seeds.any() else near)
-    waves = spread_waves(graph, begun).reshape(free.shape)
-    nearest: Any = ndimage.distance_transform_edt(np.isinf(waves), return_distances=False, return_indices=True)
-    return waves[tuple(nearest)]
+def read_nearest(waves: NDArray[np.float64], i: int, j: int) -> float:
+    """Return the value of the finite cell that is nearest to cell (i, j); the lowest j, then i, of several."""
+    reach = 0
+    while True:
+        low_i, low_j = max(i - reach, 0), max(j - reach, 0)
+        window = waves[low_i : i + reach + 1, low_j : j + reach + 1]
+        rows, columns = np.nonzero(np.isfinite(window).T)
+        away = (columns + low_i - i) ** 2 + (rows + low_j - j) ** 2
+        if away.min(initial=reach**2 + 1) <= reach**2 or window.shape == waves.shape:
+            return float(window[columns[away.argmin()], rows[away.argmin()]]) if len(away) else math.inf
+        reach = 2 * reach + 1

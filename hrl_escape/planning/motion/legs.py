@@ -16,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
+from hrl_escape.env.geometry import Footprint, NearCells, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Glide, Kinematics, RoomState, Rules
 from hrl_escape.env.poses import list_touched
@@ -45,6 +45,31 @@ class TimedPath(NamedTuple):
     times: NDArray[np.float64]  # rising from 0, shape (n,), s
     positions: NDArray[np.float64]  # shape (n, coordinates), m and rad
     velocities: NDArray[np.float64]  # shape (n, coordinates), m/s and rad/s
+
+
+def evaluate_motion(motion: TimedPath, times: NDArray[np.float64], order: int = 0) -> NDArray[np.float64]:
+    """Evaluate the cubic Hermite curve through the knots of a motion, or a derivative of it.
+
+    Args:
+        motion: two knots or more.
+        times: times within the motion, any shape, s.
+        order: number of derivatives, 0 to 3.
+
+    Returns:
+        Values, float64 (..., coordinates).
+    """
+    knots, positions, velocities = motion
+    line = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, len(knots) - 2)
+    spans = np.diff(knots)[:, None]
+    slopes = np.diff(positions, axis=0) / spans
+    bends = (velocities[:-1] + velocities[1:] - 2.0 * slopes) / spans
+    coefficients = positions[:-1], velocities[:-1], (slopes - velocities[:-1]) / spans - bends, bends / spans
+    since = (times - knots[line])[..., None]
+    values, power = np.zeros((*np.shape(times), positions.shape[1])), np.ones_like(since)
+    for degree, coefficient in enumerate(coefficients[order:], start=order):
+        values += coefficient[line] * power * math.perm(degree, order)
+        power = power * since
+    return values
 
 
 def time_path(path: MotionPath, rates: NDArray[np.float64]) -> TimedPath:
@@ -364,8 +389,14 @@ class _Legs(Mover):
         if not all(_is_free(x, y, discs) for x, y in places[[0, -1]].tolist()):
             return None
         floor, budget = np.array([self._room.reach_x, self._room.reach_y]), CheckerBudget(DETOUR_CHECKS, NO_LIMIT)
-        found = find_joint_path(-floor, floor, places[0], places[-1:], lambda at: _is_free(at[0], at[1], discs), LOOK,
-                                budget, planner=DEFAULT_PLANNER, seed=0)
+        near = NearCells(discs, discs)
+
+        def is_free(at: NDArray[np.float64]) -> bool:
+            x, y = at.tolist()
+            return _is_free(x, y, near[math.floor(x), math.floor(y)])
+
+        found = find_joint_path(-floor, floor, places[0], places[-1:], is_free, LOOK, budget, planner=DEFAULT_PLANNER,
+                                seed=0)
         return None if found is None else _shorten(found, discs)
 
     def _list_solids(self, state: RoomState, wanted: int) -> list[Footprint]:
@@ -427,9 +458,7 @@ def _list_looks(motion: TimedPath) -> tuple[list[float], list[list[float]]]:
     times = np.concatenate([*parts, np.zeros(0)])
     if not len(times):
         return [], []
-    from scipy.interpolate import CubicHermiteSpline  # takes half a second to load
-
-    places = CubicHermiteSpline(*motion)(times)
+    places = evaluate_motion(motion, times)
     places[-1] = motion.positions[-1]
     return times.tolist(), places.tolist()
 
@@ -456,7 +485,7 @@ def _grow(discs: _Discs, ends: NDArray[np.float64], clearance: float) -> _Discs:
             for shape, near in discs]
 
 
-def _is_free(x: float, y: float, discs: _Discs) -> bool:
+def _is_free(x: float, y: float, discs: Iterable[tuple[Footprint, float]]) -> bool:
     return all(compute_distance(x, y, shape) >= near - 1e-9 for shape, near in discs)
 
 

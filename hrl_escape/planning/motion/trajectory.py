@@ -7,9 +7,8 @@ import dataclasses
 import io
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -24,13 +23,10 @@ from hrl_escape.env.velocities import list_levels
 from hrl_escape.errors import ConfigError, EscapeError
 from hrl_escape.files import write_json, write_text
 from hrl_escape.planning import ros
-from hrl_escape.planning.motion.legs import Contact, Grip, Press, time_legs, time_path
+from hrl_escape.planning.motion.legs import Contact, Grip, Press, TimedPath, evaluate_motion, time_legs, time_path
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
-
-if TYPE_CHECKING:
-    from scipy.interpolate import CubicHermiteSpline
 
 EFFORT_RATE = 100.0
 """Sampling rate of the efforts of joints, Hz."""
@@ -63,18 +59,13 @@ class TimedTrajectory:
         """Return the time of the last knot, s."""
         return float(self.times[-1])
 
-    @cached_property
-    def _spline(self) -> CubicHermiteSpline:
-        from scipy.interpolate import CubicHermiteSpline  # takes half a second to load
-
-        return CubicHermiteSpline(self.times, self.positions, self.velocities)
-
     def evaluate(self, times: ArrayLike, order: int = 0) -> NDArray[np.float64]:
         """Return positions at times within the duration, or their first or second derivatives, (..., coordinates)."""
         if len(self.times) == 1:  # at rest
             shape = (*np.shape(times), len(self.names))
             return np.zeros(shape) if order else np.broadcast_to(self.positions[0], shape).copy()
-        return np.asarray(self._spline(np.clip(times, 0.0, self.duration), order))
+        motion = TimedPath(self.times, self.positions, self.velocities)
+        return evaluate_motion(motion, np.clip(times, 0.0, self.duration), order)
 
     def sample(self, rate: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Sample at a rate in Hz; the last sample is the end.

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from benchmarks.trajectories import check, list_configs, list_faults, list_presses, measure_peaks, solve
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig
@@ -24,7 +25,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.motion.legs import PRESS_SECONDS
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
-from hrl_escape.planning.motion.trajectory import make_trajectory, track
+from hrl_escape.planning.motion.trajectory import TimedTrajectory, make_trajectory, track
 from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.planner import RoomPlanner
 
@@ -168,6 +169,17 @@ def test_coordinates_wait_for_the_slowest():
     trajectory = make_trajectory(path, MotionLimits(turn_speed=0.5, turn_acceleration=0.5, turn_jerk=1.0))
     assert trajectory.duration == pytest.approx(3 / 0.5 + 0.5 / 0.5 + 0.5 / 1.0)
     assert trajectory.evaluate(trajectory.duration / 2) == pytest.approx([1 / 2, 0.0, 1.5])
+
+
+def test_places_and_derivatives_between_knots_are_scipys_to_the_bit():
+    rng = np.random.default_rng(0)
+    for count in (2, 3, 12):
+        times = np.concatenate([[0.0], np.cumsum(rng.uniform(1e-3, 2.0, count - 1))])
+        positions, velocities = rng.normal(size=(2, count, 4))
+        motion = TimedTrajectory(("a", "b", "c", "d"), times, positions, velocities, MotionLimits())
+        spline, at = CubicHermiteSpline(times, positions, velocities), np.append(times, rng.uniform(0, times[-1], 50))
+        for order in range(4):
+            assert np.array_equal(motion.evaluate(at, order), spline(at, order)), (count, order)
 
 
 def test_primitives_one_by_one_take_as_long_as_the_formula_says():
