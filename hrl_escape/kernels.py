@@ -28,13 +28,14 @@ from numba.core.codegen import JITCodeLibrary
 
 from hrl_escape.version import __version__
 
-SOURCES = ("agents/factored/search.py", "agents/factored/structure.py", "env/bases/__init__.py", "env/bases/base.py",
-           "env/bases/disc.py", "env/bases/rectangle.py", "env/floor_grid.py", "env/geometry.py", "floor/clearance.py",
-           "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py",
-           "planning/arm/joint_lattice.py", "planning/search/a_star.py")
-"""Files, relative to the package, that compiled code depends on: functions, constants and tuple types."""
-WITHOUT_BASES = ("agents/factored/search.py", "agents/factored/structure.py", "planning/arm/joint_lattice.py")
-"""Members of `SOURCES` whose kernels contain no function of a base. Their compiled code stays valid with a new base."""
+SOURCES = ("agents/factored/search.py", "agents/factored/structure.py", "env/bases/base.py", "env/floor_grid.py",
+           "env/geometry.py", "floor/clearance.py", "floor/dijkstra.py", "floor/sweeps.py",
+           "options/batched/value_iteration.py", "planning/arm/joint_lattice.py", "planning/search/a_star.py")
+"""Files, relative to the package, that compiled code depends on: functions, constants and tuple types.
+
+The files of single bases are not among them: their code is in the names of the types that kernels are compiled for, see
+`floor/sweeps.py`.
+"""
 
 _PROSE = re.compile(rb"""
     ^[ \t]*\"{3}[\s\S]*?\"{3}                              # a docstring, or the description of an attribute
@@ -131,8 +132,7 @@ class SourceLocator(UserProvidedCacheLocator):
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     before = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
     try:  # only the decorator reads both
-        folder = _FOLDER_WITHOUT_BASES if function.__module__ in _MODULES_WITHOUT_BASES else _FOLDER
-        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), f"{__name__}.{SourceLocator.__name__}"
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(_FOLDER), f"{__name__}.{SourceLocator.__name__}"
         compiled = numba.njit(cache=True, **options)(function)
     finally:
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
@@ -149,29 +149,17 @@ def kernel_part(function: Callable[..., Any]) -> Any:
     return numba.njit(**PART)(function)
 
 
-def add_sources(files: Iterable[Path]) -> None:
-    """Add files that later kernels with bases depend on to the key of their cache."""
-    global _FOLDER
-    own = {Path(__file__).parent / name for name in SOURCES}
-    foreign = [file for file in files if file not in own]
-    if foreign:
-        _FOLDER = find_cache_folder(foreign)
+def find_cache_folder() -> Path:
+    """Return the folder of compiled kernels; the variable NUMBA_CACHE_DIR moves it."""
+    return make_cache_folder(f"{__version__}-{hash_code(Path(__file__).parent / name for name in SOURCES)}")
 
 
-def find_cache_folder(more: Iterable[Path] = (), own: Iterable[str] | None = None) -> Path:
-    """Return the folder of compiled kernels; the variable NUMBA_CACHE_DIR moves it.
-
-    Args:
-        more: files that are part of the kernels besides the package's own; a change of their docstrings counts, too.
-        own: the package's own files, `SOURCES` by default.
-    """
-    package = Path(__file__).parent
+def hash_code(files: Iterable[Path]) -> str:
+    """Return 12 hexadecimal digits that change with the code of modules, but not with docstrings and comments."""
     sources = hashlib.sha256()
-    for name in SOURCES if own is None else own:
-        sources.update(strip_prose((package / name).read_bytes()))
-    for file in more:
-        sources.update(file.read_bytes())
-    return make_cache_folder(f"{__version__}-{sources.hexdigest()[:12]}")
+    for file in files:
+        sources.update(strip_prose(file.read_bytes()))
+    return sources.hexdigest()[:12]
 
 
 def make_cache_folder(name: str) -> Path:
@@ -254,8 +242,7 @@ def _get_name(happened: event.Event) -> str:
 
 
 _USES: dict[str, str] = {}
-_FOLDER, _FOLDER_WITHOUT_BASES = find_cache_folder(), find_cache_folder(own=WITHOUT_BASES)
-_MODULES_WITHOUT_BASES = {f"hrl_escape.{name.removesuffix('.py').replace('/', '.')}" for name in WITHOUT_BASES}
+_FOLDER = find_cache_folder()
 _STOPWATCH = _Stopwatch()
 event.register("numba:compiler_lock", _STOPWATCH)
 event.register("numba:compile", _Announcer())

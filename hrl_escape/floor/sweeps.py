@@ -22,7 +22,7 @@ from hrl_escape.env.bases import Base, bases
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
-from hrl_escape.kernels import PART, add_sources, kernel_part
+from hrl_escape.kernels import PART, hash_code, kernel_part
 
 
 def _compile(function: Callable) -> Any:
@@ -43,21 +43,24 @@ def compile_geometry() -> tuple[Any, Any]:
     return _compile(geometry.compute_first_contact), _compile(geometry.compute_distance)
 
 
-class Round(NamedTuple):
-    """The outline of a base that turns anywhere, or of a point: the distance from its axis decides."""
-
-    size: NDArray[np.float64]  # of the base, m
-
-
-def _make_outline_type(name: str) -> Any:
-    """Make a tuple like `Round` for another base. The type of an outline decides which base's code kernels contain."""
-    outline = namedtuple(f"_Outline_{name}", Round._fields, module=__name__)  # its place, by which the cache names it
-    return globals().setdefault(outline.__name__, outline)
-
-
 _BASES = bases.load_all()
-add_sources(Path(inspect.getfile(base)) for base in _BASES.values())
-_OUTLINES = {base: Round if base.turns_anywhere else _make_outline_type(name) for name, base in _BASES.items()}
+
+
+def __getattr__(name: str) -> Any:
+    """Make the type of an outline by its name; the cache also names outlines of bases that have changed since."""
+    if not name.startswith("Outline_"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return globals().setdefault(name, namedtuple(name, ("size",), module=__name__))
+
+
+def _make_outline_type(name: str, *sharing: type[Base]) -> Any:
+    """Make a type for the sizes of some bases. Kernels for it contain their functions, and its name their code."""
+    return __getattr__(f"Outline_{name}_{hash_code(Path(inspect.getfile(base)) for base in sharing)}")
+
+
+Round = _make_outline_type("round", *(base for base in _BASES.values() if base.turns_anywhere))
+"""The outline of a base that turns anywhere, or of a point: the distance from its axis decides."""
+_OUTLINES = {base: Round if base.turns_anywhere else _make_outline_type(name, base) for name, base in _BASES.items()}
 first_contact, measure_distance = compile_geometry()
 
 

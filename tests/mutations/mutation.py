@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
-from hrl_escape.kernels import WITHOUT_BASES, find_cache_folder
+from hrl_escape.kernels import find_cache_folder
 from tests.forks import run_fork
 
 __all__ = ["ROOT", "Mutation", "PackageCopy", "find_source", "plant"]
@@ -141,8 +141,8 @@ class PackageCopy:
         for path in ROOT.glob("*.*"):
             if path.is_file():
                 shutil.copy2(path, folder)
-        for kernels in (find_cache_folder(), find_cache_folder(own=WITHOUT_BASES)):
-            shutil.copytree(kernels, folder / "kernels" / "hrl_escape" / kernels.name, dirs_exist_ok=True)
+        kernels = find_cache_folder()
+        shutil.copytree(kernels, folder / "kernels" / "hrl_escape" / kernels.name, dirs_exist_ok=True)
 
     def is_seen(self, mutation: Mutation, seconds: int = 300) -> bool:
         """Plant a bug, run its tests, mend it; say whether one of them failed, or ran for so many processor seconds.

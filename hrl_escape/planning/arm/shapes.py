@@ -26,7 +26,7 @@ from hrl_escape.env.mesh_files import load_mesh
 from hrl_escape.env.urdf import LARGEST_VISUAL, read_numbers
 from hrl_escape.errors import FileReadError, FileWriteError, RobotError
 from hrl_escape.files import read_bytes, write_bytes
-from hrl_escape.kernels import make_cache_folder, strip_prose
+from hrl_escape.kernels import hash_code, make_cache_folder
 
 THINNEST = 1e-4
 """A mesh that is thinner than this in some direction is thickened to ten times as much, m."""
@@ -97,7 +97,7 @@ def _load_hull(path: str, scale: tuple[float, ...], _time: int, _size: int) -> A
 @cache
 def _hash_code() -> str:
     """Return the digest of the code that cached hulls depend on."""
-    return hashlib.sha256(b"".join(strip_prose(source.read_bytes()) for source in _SOURCES)).hexdigest()[:12]
+    return hash_code(_SOURCES)
 
 
 def _read_corners(file: Path) -> NDArray[np.float64] | None:

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import os
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.kernels import hash_code
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.planning import RoomPlanner
 from tests.forks import run_fork
@@ -140,22 +142,44 @@ def test_planners_and_options_bring_it_out():
     assert found.stdout.strip() == "escaped", found.stderr
 
 
-FOLDERS = """
-import sys
+LOADED = """
+import sys, pathlib
 from hrl_escape.env.bases import bases
-from examples.extend.diamond import Diamond
-if sys.argv[1] == "diamond":
-    bases.register("diamond", Diamond)
-from hrl_escape.floor.dijkstra import choose_points
-from hrl_escape.planning.arm.joint_lattice import find_heights
-print(find_heights.stats.cache_path, choose_points.stats.cache_path)
+place, code = pathlib.Path(sys.argv[1], "diamond.py"), pathlib.Path("examples/extend/diamond.py").read_text()
+place.write_text(code.replace(*sys.argv[2:]))
+sys.path.insert(0, sys.argv[1])
+from diamond import Diamond
+bases.register("diamond", Diamond)
+from hrl_escape import RoomPlanner
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.robot import make_robot
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.floor import dijkstra, sweeps
+from hrl_escape.planning.search import a_star
+planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
+planner.solve(planner.rules.make_state(planner.instance.starts[0]))
+for kernel in (dijkstra.choose_points, a_star.expand_until_goal):
+    assert kernel.stats.cache_hits and not kernel.stats.cache_misses, kernel.stats
+print(*sorted(name for name in vars(sweeps) if name.startswith("Outline_")))
 """
 
 
 @pytest.mark.nightly
-def test_it_keeps_what_was_compiled_without_it():
-    """Kernels that contain no base are shared; the others lie in folders of their own, both of which stay valid."""
-    with_it, without, again = (run_fork(FOLDERS, name, check=True, environment=os.environ | {
-        "PYTHONPATH": str(ROOT)}).stdout.split() for name in ("diamond", "none", "none"))
-    assert with_it[0] == without[0] and with_it[1] != without[1]
-    assert without == again
+def test_code_of_a_base_is_in_the_key_of_its_own_kernels_only(tmp_path):
+    """Kernels for a disc, which the first process loads or compiles, stay valid whatever another base's code is."""
+    planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
+    planner.solve(planner.rules.make_state(planner.instance.starts[0]))
+    commented, changed = (run_fork(LOADED, str(tmp_path), *edit, check=True, environment=os.environ | {
+        "PYTHONPATH": str(ROOT)}).stdout for edit in (("import math", "import math  # of Python"),
+                                                      ("return ", "pass; return ")))
+    key = f"Outline_diamond_{hash_code([ROOT / 'examples/extend/diamond.py'])}"
+    assert key in commented and key not in changed and "Outline_diamond_" in changed
+
+
+def test_the_cache_may_name_outlines_of_bases_that_are_gone():
+    import hrl_escape.floor.sweeps as sweeps
+
+    outline = pickle.loads(b"chrl_escape.floor.sweeps\nOutline_gone_0123456789ab\n.")
+    assert outline is sweeps.Outline_gone_0123456789ab and outline(np.zeros(1)).size.shape == (1,)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        sweeps.nothing  # noqa: B018
