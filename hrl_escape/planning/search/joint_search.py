@@ -21,7 +21,7 @@ from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.floor.cost_to_go import Seeds
-from hrl_escape.planning.areas import compute_goal_area, get_presser
+from hrl_escape.planning.areas import Area, compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.search import a_star
 from hrl_escape.planning.search.a_star import JointQuery, expand_until_escape
@@ -41,6 +41,8 @@ _SLICE = 5_000
 """Nodes expanded between two checks of the time limit."""
 MOST_NODES = 1_000_000
 """Maximum number of nodes expanded for one escape."""
+_LOOKS = 5
+"""Places along a move where its distance from a target is measured."""
 MOST_FIELDS = 256
 """Maximum number of cached fields, for four sets of puzzle states."""
 
@@ -207,21 +209,37 @@ class JointSearch:
             near = np.flatnonzero(maker.standing & (away > surely) & (away <= area.reach + step))
             layers = len(maker.fits) // len(maker.points)
             actions = rules.actions.base if layers > 1 else rules.actions.translations  # a turn may press
+            can_press = self._find_moves_to(area, maker.points[near], actions) if layers == 1 else None
             found = []
-            for cell, heading in itertools.product(near.tolist(), range(maker.classes)):
+            for (row, cell), heading in itertools.product(enumerate(near.tolist()), range(maker.classes)):
                 x, y = maker.points[cell].tolist()
                 begin = state._replace(x=x, y=y, heading_steps=heading, heading_offset=0.0, touching=0,
                                        puzzle=rules.instance.puzzle.make_state())
                 if layers > 1 and not (maker.fits[cell * layers + heading]
                                        and not rules.compute_touching(*begin.pose) >> target & 1):
                     continue
-                for action in actions:
+                for column, action in enumerate(actions):
+                    if can_press is not None and not can_press[row, heading, column]:
+                        continue
                     reached = rules.step(begin, action)
                     if reached.pressed == (target,):
                         found.append((cell * maker.classes + heading, self._find_place(reached.state)))
             table = np.array(found, dtype=np.int64).reshape(-1, 2)
             self._presses[target] = Presses(table[:, 0], table[:, 1], np.ones(len(table), dtype=np.int64))
         return self._presses[target]
+
+    def _find_moves_to(self, area: Area, points: NDArray[np.float64], actions: Sequence[int]) -> NDArray[np.bool_]:
+        """Return which moves from points can come within reach of an area, bool (points, heading classes, actions).
+
+        The distance is measured at `_LOOKS` places of a move. All others are within half their spacing of one.
+        """
+        rules = self.rules
+        moves = np.array([[rules.actions.primitives[action].compute_move(*rules.rotations[heading])
+                           for action in actions] for heading in range(self._shut.classes)])
+        looks = points[:, None, None, None] + np.linspace(0.0, 1.0, _LOOKS)[:, None] * moves[:, :, None]
+        away = compute_distance_many(looks.reshape(-1, 2), stack_footprints([area.footprint]))
+        between = rules.actions.longest / (2 * (_LOOKS - 1)) + 1e-9
+        return away.reshape(looks.shape[:-1]).min(axis=-1) <= area.reach + between
 
     def _find_place(self, state: RoomState) -> int:
         """Return the index of the cell and heading class of a pose."""
