@@ -27,7 +27,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-HISTORY, FIGURE = Path(__file__).with_name("speed.jsonl"), Path(__file__).parents[1] / "docs/figures/speed.svg"
+HISTORY, FIGURE = Path(__file__).with_name("speed.jsonl"), Path(__file__).parents[1] / "docs/images/speed.svg"
 PRESETS = ("paper-two-button", "clutter", "door-key", "key-corridor", "sokoban", "key-chest", "puddle-world")
 FIRST_PLAN = "from hrl_escape.cli import main; main(['solve', '--room', 'clutter', '--json'])"
 

@@ -46,6 +46,18 @@ def test_help_imports_nothing_that_takes_time():
     assert run_python(script).stdout.splitlines()[-1] == "HEAVY"
 
 
+def test_a_first_room_and_a_first_plan_load_little():
+    """A room needs no compiler and no SciPy; a plan loads numba, and what numba loads of SciPy."""
+    script = ("import sys, gymnasium, hrl_escape; heavy = {'PIL', 'matplotlib', 'ompl', 'pinocchio', 'pybullet', "
+              "'torch', 'scipy.ndimage', 'scipy.sparse.csgraph', 'scipy.interpolate', 'scipy.optimize'}\n"
+              "gymnasium.make('hrl_escape/Clutter-v1').reset(seed=0)\n"
+              "print('ROOM', *({*heavy, 'numba', 'rich', 'scipy', 'tyro'} & set(sys.modules)))\n"
+              "from hrl_escape.cli import main; main(['solve', '--room', 'clutter'])\n"
+              "print('PLAN', *(heavy & set(sys.modules)))")
+    lines = run_python(script).stdout.splitlines()
+    assert lines[0] == "ROOM" and lines[-1] == "PLAN" and any("every state as predicted" in line for line in lines)
+
+
 def test_missing_packages_stop_only_the_commands_that_need_them():
     missing = ("matplotlib", "ompl", "pinocchio", "imageio_ffmpeg", "viser")
     script = ("import sys; sys.modules |= dict.fromkeys(sys.argv[1:]); from hrl_escape.cli import main\n"

@@ -23,6 +23,7 @@ from sphinx.application import Sphinx
 from sphinx.errors import ExtensionError
 from sphinx.util.docutils import SphinxDirective
 
+from benchmarks import speed
 from hrl_escape.agents.recommended import RECOMMENDED, format_answer
 from hrl_escape.agents.registry import (
     KERAS_RL,
@@ -247,11 +248,19 @@ class Usage(Table):
         return f"```text\n{run_command(*words, '--help').strip()}\n```"
 
 
+class SpeedTable(Table):
+    """`{speed-table}`: the last run of `python -m benchmarks.speed`, with its machine and date."""
+
+    def write(self) -> str:
+        """One row a measurement."""
+        return speed.make_table(speed.read_history()[-1])
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
                             "recommended": Recommended, "tuning": TunedSettings, "rungs": Rungs,
                             "layouts": Layouts, "prices": Prices, "recordings": PublishedRecordings,
-                            "usage": Usage}.items():
+                            "speed-table": SpeedTable, "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
