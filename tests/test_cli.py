@@ -46,6 +46,7 @@ def test_help_imports_nothing_that_takes_time():
     assert run_python(script).stdout.splitlines()[-1] == "HEAVY"
 
 
+@pytest.mark.nightly
 def test_a_first_room_and_a_first_plan_load_little():
     """A room needs no compiler and no SciPy; a plan loads numba, and what numba loads of SciPy."""
     script = ("import sys, gymnasium, hrl_escape; heavy = {'PIL', 'matplotlib', 'ompl', 'pinocchio', 'pybullet', "
