@@ -16,18 +16,24 @@ nearest to the next target is chosen, without any training. Measured efficiencie
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import tyro
 
+from hrl_escape.agents import make_agent
 from hrl_escape.agents.spec import BAYES, ORACLE, AgentSpec
+from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.references.graph_family import GraphFamily, condition_on_room, make_family
-from hrl_escape.benchmark.references.registry import SEARCH_METHODS
+from hrl_escape.benchmark.references.registry import SEARCH_METHODS, make_reference
 from hrl_escape.benchmark.rung_references import RungReferences
+from hrl_escape.benchmark.statistics import compute_mean_efficiency
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.env.config import RoomConfig
@@ -35,6 +41,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import read_json, read_toml, write_json
+from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.changes import change_field
 from hrl_escape.sets.instance_set import InstanceSet
@@ -70,14 +77,19 @@ class Choose:
 
 
 def play(agent: str, rooms: InstanceSet) -> float | None:
-    """Mean efficiency of a reference agent, or None if the puzzle does not suit it."""
-    from studies.unseen import make_unseen, play_agent  # loads torch and the batched engine, ten seconds
-
+    """Mean efficiency of a reference over an episode in each room, or None if the puzzle does not suit it."""
     spec = AgentSpec.parse(agent)
+    fewest = [find_best_known(room, list_start_states(room)[0]).primitives or math.nan for room in rooms]
+    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(len(rooms))}
     try:
-        return play_agent(spec, make_unseen(rooms), rooms[:1])[0]
+        env, recorder = make_agent_env(spec, rooms, "objects", order)
+        with closing(env):
+            player = (make_reference(spec.name, env, recorder) if spec.is_reference else
+                      make_agent(spec.name, env.observation_space, env.action_space, 0))
+            found = evaluate(player, env, len(rooms))
     except UnsupportedError:
         return None
+    return round(compute_mean_efficiency(found.escaped, found.lengths, fewest, is_expected=False), 4)
 
 
 def compute_entropy(family: GraphFamily) -> float:

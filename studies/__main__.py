@@ -42,7 +42,9 @@ def _run(arguments: list[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         studies = list_studies()
         width = max(map(len, studies))
-        lines = [f"  {name:<{width}}  {study.data['about'].splitlines()[0]}" for name, study in studies.items()]
+        lines = [f"  {name:<{width}}  {study.data['about'].splitlines()[0]}"
+                 + (f" Data of {study.data['made_with']}." if study.holds_data_alone else "")
+                 for name, study in studies.items()]
         more = "`python -m studies NAME --help` explains a study and its options."
         print("\n".join([str(__doc__), *lines, "", more]))
         return 0

@@ -60,8 +60,8 @@ class GridArgs(StudyArgs):
 
 
 def get_args(study: Study) -> type[Any]:
-    """Class of a study's options: `Args` of its analysis, or those of grids."""
-    return getattr(study.analysis, "Args", GridArgs)
+    """Class of a study's options: `Args` of its analysis, or the options of grids where grids can be run."""
+    return getattr(study.analysis, "Args", StudyArgs if "made_with" in study.data else GridArgs)
 
 
 def open_store(study: Study, docs: Path | None) -> Store:
@@ -83,7 +83,7 @@ def make_missing(jobs: Iterable[Job], run: Callable[[Job], Line], store: Store, 
 
 
 def run_study(study: Study, args: Any) -> Findings:
-    """Make missing runs, unless `from_raw` is set, and analyse all lines.
+    """Make missing runs, unless `from_raw` is set or an earlier version made them, and analyse all lines.
 
     Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
 
@@ -98,7 +98,7 @@ def run_study(study: Study, args: Any) -> Findings:
         if value is not None and value <= 0:
             raise ConfigError(name, value, "it must be above 0")
     store = open_store(study, args.docs)
-    if not args.from_raw:
+    if not args.from_raw and "made_with" not in study.data:
         claim_folder(store.path.parent)
         getattr(study.analysis, "measure", measure_grids)(study, args, store)
     with taking_turns(store.path.parent):

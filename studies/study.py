@@ -5,6 +5,9 @@
 | `study.toml` | `about`, a line; `comparisons` by name or `[[grid]]` tables; other settings of the analysis |
 | `analysis.py` | `analyse(study, lines)`, which returns `Findings`; other than default `Args`, `LINES`, `measure` |
 | `raw.jsonl` | a line a run, see `Store` |
+
+A study with `made_with` keeps the runs of that version, which is the last with the code that makes them. Without an
+`analysis.py` it keeps data alone.
 """
 
 from __future__ import annotations
@@ -68,6 +71,11 @@ class Study:
         """Beginning of every command line that runs it."""
         return f"python -m studies {self.name if self.folder.parent == ROOT else self.folder}"
 
+    @property
+    def holds_data_alone(self) -> bool:
+        """True where its runs are kept without an analysis."""
+        return "made_with" in self.data and not (self.folder / "analysis.py").is_file()
+
     @cached_property
     def grids(self) -> tuple[Grid, ...]:
         """Its grids: comparisons that come with the package, then its own."""
@@ -78,6 +86,9 @@ class Study:
     def analysis(self) -> ModuleType:
         """The module `analysis.py`, or another that `analysis` in `study.toml` names, which several studies share."""
         name = self.data.get("analysis", f"{ROOT.name}.{self.folder.name}.analysis")
+        if self.holds_data_alone:
+            raise FileReadError(f"{self.folder} holds data alone. The last version with the code of this study is "
+                                f"{self.data['made_with']}")
         if "analysis" in self.data or self.folder.parent == ROOT:
             return importlib.import_module(name)
         spec = importlib.util.spec_from_file_location(name, self.folder / "analysis.py")

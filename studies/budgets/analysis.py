@@ -11,6 +11,8 @@ from functools import cache, partial
 from types import SimpleNamespace
 from typing import Any, TypeAlias
 
+from studies.unseen import UnseenRooms, make_unseen, play_unseen, stream_rooms, train_agent
+
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_digest
 from hrl_escape.benchmark.launching.local import get_fork_server
@@ -33,7 +35,6 @@ from studies.running import StudyArgs, open_store
 from studies.statistics import Difference, compare_strata
 from studies.store import Store
 from studies.study import Findings, Study, find_study
-from studies.unseen import UnseenRooms, make_unseen, play_unseen, stream_rooms, train_agent
 
 __all__ = ["Args", "analyse", "compare_budgets", "measure", "run_once"]
 

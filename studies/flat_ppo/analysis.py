@@ -18,41 +18,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.figures import Theme, make_figure, write_label
-from studies.flat import (
-    TENTHS,
-    FlatArgs,
-    FlatJob,
-    FlatLearner,
-    FlatRun,
-    count_untrained,
-    list_learners,
-    measure_flat_runs,
-)
+from studies.flat import TENTHS, FlatLearner, FlatRun, count_untrained, list_learners
 from studies.statistics import Difference, compare_signs
-from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import make_table
 from studies.titles import find_title
 
-__all__ = ["LINES", "Args", "analyse", "compare", "find_untrained", "measure", "read_corners", "read_escape",
+__all__ = ["LINES", "analyse", "compare", "find_untrained", "read_corners", "read_escape",
            "read_late"]
 
 LINES = (FlatRun,)
-Args = FlatArgs
 FULL = math.log(6)
 """Largest entropy of a policy over the six primitives, nats."""
-
-
-def measure(study: Study, args: FlatArgs, store: Store) -> None:
-    """Make the runs that are missing, seed by seed."""
-    data, room = study.data, generate(get_preset(study.data["room"]), 0)
-    seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    measure_flat_runs(store, [FlatJob(learner, room, seed, data["budget"], data["eval_every"])
-                              for seed in seeds for learner in list_learners(study, args)], args.minutes)
 
 
 # --- comparisons -----------------------------------------------------------------------------
@@ -116,7 +95,7 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Findings:
             if (own := [run for run in lines if run.agent == table["label"]])}
     plain, chance = data["plain"], data["chances"][0]
     remedies = [label for label in runs if label not in (plain, *data["chances"])]
-    learners = {learner.label: learner for learner in list_learners(study, FlatArgs(agents=tuple(runs)))}
+    learners = {learner.label: learner for learner in list_learners(study) if learner.label in runs}
     late = {label: found for control in data["chances"] for label, found in compare(
         lines, [label for label, learner in learners.items()
                 if learner.repeat == learners[control].repeat and label != control], control, read_late).items()}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
-import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,99 +14,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.benchmark.comparison import run_grid
-from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.errors import ComparisonError
-from hrl_escape.sets.benchmark import Benchmark, load_benchmark
-from studies.baseline import BaselineRun, collect_baselines
+from hrl_escape.files import read_toml
+from studies.baseline import BaselineRun
 from studies.figures import Theme, make_figure, write_label
-from studies.generalisation.grids import (
-    AT_ONCE,
-    CEILING,
-    DEPTHS,
-    MEMORY,
-    NAMES,
-    OBJECTS,
-    SEARCH_BASELINES,
-    TRAINED,
-    TRANSFER,
-    GeneralisationArgs,
-    make_depth_grid,
-    make_sizes_grid,
-)
-from studies.generalisation.many import measure_courses, measure_many, name_rooms, run_reference
 from studies.ladder.calibration import CHANCE
-from studies.running import refuse_failures
 from studies.statistics import Difference, compare_strata
-from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
-__all__ = ["Args", "analyse", "compare_cells", "measure", "prefer_at_once"]
+__all__ = ["AT_ONCE", "CEILING", "DEPTHS", "FLAT", "MEMORY", "OBJECTS", "SEARCH_BASELINES", "TRANSFER", "VECTORS",
+           "analyse", "compare_cells", "prefer_at_once"]
 
-Args = GeneralisationArgs
+_DATA = read_toml(Path(__file__).with_name("study.toml"))
+DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
+TRANSFER: tuple[str, ...] = tuple(_DATA["transfer"])
+NAMES: dict[str, str] = _DATA["names"]
+FLAT, VECTORS, OBJECTS, MEMORY = NAMES
+AT_ONCE = ", many rooms at once"
+"""End of the labels of agents that learn from many rooms at once."""
+SEARCH_BASELINES: dict[str, str] = _DATA["searchers"]
+CEILING: dict[str, str] = _DATA["ceiling"]
+
 Cells = Mapping[tuple[str, Any], Mapping[int, float]]
 """Efficiency by training seed, by agent and number of training rooms or kind of room tested in."""
-
-
-def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
-    """Run the parts that are asked for; in the part `depth` a line's rung is the kind of room tested in."""
-    bench, out = load_benchmark(study.data["benchmark"]), args.out / "generalisation"
-    for part in args.part:
-        if part == "many":
-            _measure_many(bench, args, store)
-            continue
-        if part in ("many-depth", "transfer"):
-            _measure_courses(bench, args, store, (TRAINED,) if part == "many-depth" else TRANSFER)
-            continue
-        grid = make_sizes_grid(bench, args) if part == "sizes" else make_depth_grid(bench, args, out / "sets")
-        comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
-        refuse_failures(comparison)
-        lines = collect_baselines(comparison, part, args.rung)
-        store.add(lines if part == "sizes" else [dataclasses.replace(line, rung=line.rooms.split(" > ")[1])
-                                                 for line in lines])
-
-
-def _measure_many(bench: Benchmark, args: GeneralisationArgs, store: Store) -> None:
-    """Runs from many rooms at once that are missing, each kept as soon as it is done."""
-    sizes = [size for size in args.sizes if size <= bench[args.rung].record.train.count]
-    known = {(line.agent.removesuffix(AT_ONCE), _count_rooms(line), line.seed)
-             for line in _list_at_once(args, store, "sizes") if line.rung == args.rung}
-    jobs = [job for agent in args.agents or NAMES for size in sizes for seed in _list_seeds(args)
-            if (job := (agent, size, seed)) not in known]
-    for line in measure_many(bench.name, args.rung, jobs, args.primitives, args.rooms, args.workers or 1):
-        store.add([line])
-        print(f"{line.agent}, {_count_rooms(line)} rooms, seed {line.seed}: {line.efficiency:.3f}", file=sys.stderr)
-
-
-def _measure_courses(bench: Benchmark, args: GeneralisationArgs, store: Store, courses: Sequence[str]) -> None:
-    """Tests of courses that are missing, those of a run kept as soon as they are done; over rungs references first."""
-    part = "depth" if courses == (TRAINED,) else "transfer"
-    if part == "transfer":
-        there = {(line.rung, line.agent) for line in store.load() if line.protocol == part}
-        store.add(run_reference(bench.name, rung, agent, args.rooms) for rung in courses
-                  for agent in (*SEARCH_BASELINES, *CEILING, CHANCE) if (rung, agent) not in there)
-    names = {course: TRAINED if course == TRAINED else name_rooms(bench.name, course, "train", args.shallow_rooms)
-             for course in courses}
-    known = {(line.rooms.split(" > ")[0], line.agent.removesuffix(AT_ONCE), line.seed)
-             for line in _list_at_once(args, store, part)}
-    defaults = (OBJECTS, MEMORY) if part == "depth" else (MEMORY,)
-    jobs = [(course, agent, seed) for course in courses for agent in args.agents or defaults
-            for seed in _list_seeds(args) if (names[course], agent, seed) not in known]
-    for lines in measure_courses(bench.name, jobs, args.primitives, args.shallow_rooms, args.rooms, args.workers or 1):
-        store.add(lines)
-        print(lines[0].rooms.split(" > ")[0], ", ".join(f"{line.rung}: {line.efficiency:.3f}" for line in lines),
-              file=sys.stderr)
-
-
-def _list_seeds(args: GeneralisationArgs) -> range:
-    return range(args.first_seed, args.first_seed + args.runs)
-
-
-def _list_at_once(args: GeneralisationArgs, store: Store, part: str) -> list[BaselineRun]:
-    """Lines of a part that are there, of learners from many rooms at once with this budget and as many tests."""
-    return [line for line in store.load() if line.agent.endswith(AT_ONCE)
-            and (line.protocol, line.primitives, line.episodes) == (part, args.primitives, args.rooms)]
 
 
 def prefer_at_once(lines: Sequence[BaselineRun]) -> list[BaselineRun]:

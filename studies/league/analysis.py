@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from types import SimpleNamespace
@@ -23,47 +22,25 @@ from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record
-from studies.buttons.analysis import find_first_escape
 from studies.figures import Theme, make_figure, write_label
-from studies.flat import (
-    FlatArgs,
-    FlatJob,
-    FlatLearner,
-    FlatRun,
-    count_untrained,
-    list_learners,
-    measure_flat_runs,
-)
-from studies.price.contestants import CONTESTANTS, sample_replicate_room
+from studies.flat import FlatLearner, FlatRun, count_untrained
+from studies.price.contestants import CONTESTANTS
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
 from studies.price.runs import PriceRun
 from studies.running import open_store
 from studies.statistics import compute_median_interval
-from studies.store import Store
 from studies.study import Findings, Study, find_study
 from studies.tables import make_table
 from studies.titles import find_title
 
-__all__ = ["LINES", "Args", "Attempt", "SearcherRun", "analyse", "choose_candidate", "choose_course", "compare",
-           "count_untrained_escapes", "find_longer", "list_candidates", "measure", "read_flat", "read_price"]
+__all__ = ["LINES", "Attempt", "SearcherRun", "analyse", "choose_candidate", "choose_course", "compare",
+           "count_untrained_escapes", "find_longer", "list_candidates", "read_flat", "read_price"]
 
 FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
 """The level that the first escape stands for, among efficiencies."""
 Course: TypeAlias = Literal["whole", "first escape", "none", "later"]
 """Extent to which a learner is followed with some number of buttons."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Args(FlatArgs):
-    """Options of the league."""
-
-    sizes: tuple[int, ...] = ()
-    """Numbers of buttons; those of `study.toml` by default."""
-    trials: bool = False
-    """Run the trials of all candidate settings instead of the league; it takes its settings from them."""
-    longer: bool = False
-    """Run learners ten times as long instead of the league, once that is whole for them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,50 +69,6 @@ LINES = (FlatRun, SearcherRun)
 
 
 # --- runs ------------------------------------------------------------------------------------
-
-
-def measure(study: Study, args: Args, store: Store) -> None:
-    """Make trials, or the runs of the league that are missing, size by size.
-
-    Raises:
-        ComparisonError: a learner's trials were not made.
-    """
-    data, plan = study.data, study.data["trials"]
-    if args.trials:
-        measure_flat_runs(store, [
-            FlatJob(candidate, sample_replicate_room(plan["buttons"], seed), seed, plan["budget"], plan["eval_every"])
-            for seed in plan["seeds"] for learner in list_learners(study, args)
-            for candidate in list_candidates(study, learner.label)], args.minutes)
-        return
-    end = math.inf if args.minutes is None else time.monotonic() + 60 * args.minutes
-    seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    if args.longer:
-        measure_flat_runs(store, [
-            FlatJob(choose_candidate(study, store.load(), label), sample_replicate_room(size, seed), seed,
-                    data["longer"]["budget"], data["longer"]["eval_every"], data["efficient"][-1])
-            for label, size in find_longer(study, gather(study, store.load())).items()
-            if not args.agents or label in args.agents for seed in seeds], args.minutes)
-        return
-    chosen = [choose_candidate(study, store.load(), learner.label) for learner in list_learners(study, args)]
-    for size in args.sizes or data["sizes"]:
-        rooms = {seed: sample_replicate_room(size, seed) for seed in seeds}
-        known = {line.place for line in store.load()}
-        store.add(SearcherRun(data["searcher"], size, seed,
-                              find_first_escape(data["searcher"], room, seed, data["budget"]))
-                  for seed, room in rooms.items() if (data["searcher"], size, seed) not in known)
-        courses: dict[str, Course] = {}
-        for learner in chosen:
-            if find_source(study, learner) is None:
-                own = list_own(study, store.load(), learner.label)
-                courses[learner.label] = choose_course(data, [read_flat(run, data["efficient"]) for run in own], size)
-                if courses[learner.label] != "whole":
-                    print(f"{learner.label}, {count_nouns(size, 'button')}: {courses[learner.label]}")
-        measure_flat_runs(store, [
-            FlatJob(learner, room, seed, data["budget"], data["eval_every"],
-                    data["efficient"][-1] if courses[learner.label] == "whole" else ESCAPE)
-            for seed, room in rooms.items() for learner in chosen
-            if courses.get(learner.label) in ("whole", "first escape")],
-            None if math.isinf(end) else max(0.0, end - time.monotonic()) / 60)
 
 
 def list_own(study: Study, lines: Sequence[Any], label: str, budget: int | None = None) -> list[FlatRun]:
@@ -172,7 +105,7 @@ def choose_candidate(study: Study, lines: Sequence[Any], label: str) -> FlatLear
         own = [run for run in lines if isinstance(run, FlatRun) and run.agent == candidate.label]
         if len(own) < len(study.data["trials"]["seeds"]):
             made = count_nouns(len(own), "trial")
-            raise ComparisonError(f"{candidate.label} has {made}: run {study.command} --trials")
+            raise ComparisonError(f"{candidate.label} has {made}")
         late = [share for run in own for share in run.escapes[-2:] if share is not None]
         return (-float(np.mean([run.efficiency for run in own])), -float(np.mean(late or [0.0])),
                 float(np.mean([run.first_escape or run.budget for run in own])))
@@ -257,14 +190,6 @@ def is_followed(runs: Sequence[Attempt], level: float, budget: int) -> bool:
     """True if `LEAST_RUNS` runs or more tell of a level, and none ended short of the budget without it."""
     waits = [run.waits[level] for run in runs if level in run.waits]
     return len(waits) >= LEAST_RUNS and all(arrived or spent >= budget for spent, arrived in waits)
-
-
-def list_arrived(cells: Cells, size: int, level: float) -> dict[str, int]:
-    """Learners at least half of whose runs reached a level, and in how many they did, the quickest by median first."""
-    found = {label: runs for (label, buttons), runs in cells.items() if buttons == size and len(runs) >= LEAST_RUNS
-             and 2 * count_arrived(runs, level) >= len(runs)}
-    return {label: count_arrived(runs, level) for label, runs in
-            sorted(found.items(), key=lambda item: list_times(item[1], level)[len(item[1]) // 2])}
 
 
 def count_arrived(runs: Sequence[Attempt], level: float) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -12,36 +11,18 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.benchmark.launching.local import get_fork_server
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
 from studies.figures import Theme, make_figure, write_label
-from studies.running import StudyArgs
-from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
-from studies.unseen import find_benchmark, get_unseen, make_streams, play_agent
 
-__all__ = ["LINES", "Args", "Cell", "Kind", "MarksRun", "analyse", "gather", "measure", "run_once"]
+__all__ = ["LINES", "Cell", "Kind", "MarksRun", "analyse", "gather"]
 
 FEW = 16
 """Training rooms that are compared with the most."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Args(StudyArgs):
-    """Options of the study."""
-
-    runs: int | None = None
-    """Training seeds; those of `study.toml` by default."""
-    first_seed: int = 0
-    """Lowest training seed."""
-    workers: int = 1
-    """Runs at a time."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,49 +56,6 @@ class MarksRun:
 
 
 LINES = (MarksRun,)
-
-
-# --- runs ------------------------------------------------------------------------------------
-
-
-def run_once(agent: str, rung: str, rooms: int, seed: int, primitives: int, tested: int, streams: int = 0) -> MarksRun:
-    """Train an agent in the first rooms of a rung, so many of them at once, and test it in others.
-
-    References are only tested. With 0 `streams`, one episode follows the other.
-    """
-    spec, (benchmark, name) = AgentSpec.parse(agent), rung.split("/")
-    train_in = (make_streams(benchmark, name, rooms, streams, agent) if streams else
-                find_benchmark(benchmark)[name].train[:rooms])
-    efficiency, escapes = play_agent(spec, get_unseen(benchmark, name, tested), train_in, seed, primitives)
-    if spec.is_reference:
-        rooms = primitives = 0
-    return MarksRun(agent, rung, rooms, seed, primitives, tested, efficiency, escapes)
-
-
-def measure(study: Study, args: Args, store: Store) -> None:
-    """Run what is missing: searchers and ceiling once, the learners with every number of rooms and every seed."""
-    data, console = study.data, Console(stderr=True, highlight=False)
-    seeds = range(args.first_seed, args.first_seed + (args.runs or data["runs"]))
-    jobs: dict[tuple[str, str, int, int], tuple[int, ...]] = {}  # a place; primitives, and rooms at once
-    for kind in data["kind"]:
-        rungs, sizes = (kind["told"], kind["control"]), kind["sizes"]
-        jobs |= {(agent, rung, 0, 0): (0, 0) for agent in (*data["searchers"], data["ceiling"]) for rung in rungs}
-        cells = [*((kind["told"], size) for size in sizes), (kind["control"], sizes[-1])]
-        for learning in (kind, *([kind["less"]] if "less" in kind else [])):
-            budget = learning["primitives"], learning.get("streams", 0)
-            jobs |= {(learning["learner"], rung, size, seed): budget for rung, size in cells for seed in seeds}
-    known = {run.place for run in store.load()}
-    with ProcessPoolExecutor(args.workers, get_fork_server()) as pool:
-        open_jobs = [pool.submit(run_once, *job, primitives, data["tested"], streams)
-                     for job, (primitives, streams) in jobs.items() if job not in known]
-        for done, job in enumerate(as_completed(open_jobs), 1):
-            run = job.result()
-            store.add([run])
-            console.print(f"[{done}/{len(open_jobs)}] {run.agent}, {run.rung}, {run.rooms} rooms, seed {run.seed}: "
-                          f"{run.efficiency:.3f}", markup=False)
-
-
-# --- findings --------------------------------------------------------------------------------
 
 
 class Cell(NamedTuple):

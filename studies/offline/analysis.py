@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
+from studies.unseen import count_fewest, get_unseen, play_unseen
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import REFERENCES, AgentSpec
@@ -35,7 +36,6 @@ from studies.statistics import compare_signs
 from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
-from studies.unseen import count_fewest, get_unseen, play_unseen
 
 __all__ = ["LINES", "Args", "OfflineResult", "analyse", "measure", "name_unseen", "reads_decisions", "run_once",
            "run_unseen"]

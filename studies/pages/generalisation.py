@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from studies.generalisation.grids import DEPTHS, FLAT, MEMORY, OBJECTS, SEARCH_BASELINES
+from studies.generalisation.analysis import DEPTHS, FLAT, MEMORY, OBJECTS, SEARCH_BASELINES
 from studies.publishing import Rules
 
 STUDIES = ("generalisation",)

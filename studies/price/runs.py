@@ -30,7 +30,6 @@ from hrl_escape.planning.best_known import find_best_known
 from hrl_escape.sets.goals import GoalsEnv
 from hrl_escape.settings import replace_settings
 from hrl_escape.version import __version__, find_versions
-from studies.flat import find_until
 from studies.price.contestants import CONTESTANTS, EFFICIENT, FRESH, Contestant, sample_replicate_room
 from studies.price.explorer import make_explorer
 from studies.price.lookahead import make_lookahead
@@ -159,7 +158,8 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
     fewest = find_best_known(room, single.unwrapped.get_state()).primitives
     if fewest is None:
         raise ComparisonError(f"{room.name}#{room.seed}: no escape is known, so efficiency cannot be measured")
-    least = find_until(room, fewest, EFFICIENT, contestant.has_goals)
+    most = fewest / EFFICIENT  # with goals, a primitive costs 1 and the last is free
+    least = 1 - most - 1e-9 if contestant.has_goals else room.reward.exit + room.reward.step * most
     env = _make_training_env(contestant, room, single)
     started = time.process_time()
     plan: dict[str, Any] = {"primitives": contestant.budget, "seed": replicate, "eval_every": contestant.eval_every,

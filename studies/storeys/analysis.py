@@ -13,21 +13,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
-from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate_trials
-from hrl_escape.benchmark.agent_env import make_agent_env
-from hrl_escape.benchmark.references.registry import make_reference
-from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.errors import ComparisonError
-from hrl_escape.sets.room_sequence import RoomSequence, repeat_set
 from studies.figures import Theme, make_figure, write_label
-from studies.running import StudyArgs as Args
-from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
-from studies.unseen import count_fewest, find_benchmark
 
-__all__ = ["LINES", "Args", "FloorRun", "analyse", "measure", "play_towers"]
+__all__ = ["LINES", "FloorRun", "analyse"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,32 +44,6 @@ class FloorRun:
 
 
 LINES = (FloorRun,)
-
-
-def play_towers(agent: str, tower: RoomSequence, repeats: bool, towers: int) -> list[FloorRun]:
-    """Play an episode in each of the first sequences; without `repeats` nothing is carried from room to room."""
-    spec, floors = AgentSpec.parse(agent), len(tower.sets)
-    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(towers)}
-    env, recorder = make_agent_env(spec, RoomSequence(tower.sets, repeats), "objects", order)
-    found = evaluate_trials(make_reference(spec.name, env, recorder), env, towers, floors)
-    env.close()
-    runs = []
-    for number, (rooms, own) in enumerate(zip(tower.sets, found, strict=True), 1):
-        fewest = [count_fewest(rooms[index]) for index in range(towers)]
-        values = np.minimum(compute_efficiency(own.escaped, own.lengths, fewest), 1.0)
-        runs.append(FloorRun(agent, repeats, number, tuple(np.round(values, 4).tolist())))
-    return runs
-
-
-def measure(study: Study, args: Args, store: Store) -> None:
-    """Play what is missing."""
-    data = study.data
-    benchmark, rung = data["rung"].split("/")
-    tower = repeat_set(find_benchmark(benchmark)[rung].test, data["floors"])
-    known = {run.place for run in store.load()}
-    for agent, repeats in ((data["searcher"], True), (data["ceiling"], False), (data["ceiling"], True)):
-        if (agent, repeats, data["floors"]) not in known:
-            store.add(play_towers(agent, tower, repeats, min(data["towers"], len(tower.sets[0]))))
 
 
 class Cell(NamedTuple):

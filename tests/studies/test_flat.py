@@ -1,27 +1,21 @@
-"""Flat learners in many copies of a room: repeated actions, runs, and comparisons of known data."""
+"""Flat agents: comparisons of known data."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from hrl_escape.agents.components.policy_gradient import compute_clipped_loss
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
-from studies.__main__ import main
-from studies.flat import ARCHIVE, CORNER, FlatLearner, FlatRun, RepeatedStreams, count_untrained, run_flat
+from studies.flat import ARCHIVE, FlatLearner, FlatRun, count_untrained
 from studies.flat_ppo.analysis import compare as compare_ppo
 from studies.flat_ppo.analysis import find_untrained, read_corners, read_escape, take_exponent
 from studies.league.analysis import (
     Attempt,
-    SearcherRun,
     choose_candidate,
     choose_course,
     compare,
@@ -34,102 +28,10 @@ from studies.league.analysis import (
 )
 from studies.price.runs import PriceRun
 from studies.study import find_study
-from tests.studies.lines import load, save
 
 LINE = FlatRun("ppo", 2, 0, 30, 1_000, 500, ((0, 0.0), (500, 0.0), (1_000, 0.0)), (0.1,) * 10, (0.2,) * 10, (1.7,) * 10,
                1.0, "a")
 PPO, LEAGUE = find_study("flat-ppo"), find_study("league")
-
-
-# --- streams and runs ------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def rooms() -> Any:
-    env = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=3, config="paper-two-button", observation="features",
-                             output="torch")
-    env.reset(seed=0)
-    return env
-
-
-@pytest.mark.parametrize("repeat", [1, 4])
-def test_repeated_actions_are_decisions_of_that_many_primitives(rooms: Any, repeat: int):
-    streams = RepeatedStreams(rooms, repeat, 0.9)
-    streams.reset(0)
-    seen, ended = [], 0
-    for step in range(2 * repeat):
-        assert bool(streams.is_waiting.all()) == (step % repeat == 0)
-        before = streams.observation.clone()
-        done = streams.step(torch.full((3,), 4))  # turn left
-        seen.append(before)
-        if bool(done.where.any()):
-            ended += 1
-            assert bool(done.where.all()) and done.duration.tolist() == [repeat] * 3
-            assert torch.equal(done.observation, seen[(ended - 1) * repeat]), "where it was chosen"
-            assert torch.equal(done.next_observation, streams.observation)
-            assert done.reward.tolist() == [-repeat] * 3
-            assert done.discounted_reward.tolist() == pytest.approx([-sum(0.9**n for n in range(repeat))] * 3)
-    assert ended == 2 and streams.primitives == 6 * repeat and len(streams.corners) == 2 * repeat
-
-
-def test_an_action_that_is_given_between_decisions_changes_nothing(rooms: Any):
-    streams, courses = RepeatedStreams(rooms, 3, 0.9), []
-    for between in (0, 5):
-        streams.reset(0)
-        for action in (4, between, between):
-            streams.step(torch.full((3,), action))
-        courses.append(streams.observation.clone())
-    assert torch.equal(*courses)
-
-
-def test_a_decision_ends_with_its_episode_and_the_next_one_begins_anew():
-    config = dataclasses.replace(get_preset("paper-two-button"), horizon=5)
-    env: Any = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=2, config=config, observation="features",
-                                  output="torch")
-    env.reset(seed=0)
-    streams = RepeatedStreams(env, 4, 0.9)
-    streams.reset(0)
-    durations = []
-    for _ in range(12):
-        done = streams.step(torch.zeros(2, dtype=torch.int64))
-        durations += done.duration[done.where].tolist()[:1]
-    assert durations == [4, 1, 4, 1], "five primitives an episode, and a reset between them"
-    state = streams.state_dict()
-    after = [streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1]
-    streams.reset(7)
-    streams.load_state_dict(state)
-    assert torch.equal([streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1], after)
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("repeat", [pytest.param(1, marks=pytest.mark.slow), 8])
-def test_a_run_measures_escapes_corners_and_entropy(repeat: int):
-    room = generate(get_preset("paper-one-button"), 0)
-    learner = FlatLearner("x", "ppo", {"rollout": 64, "epochs": 1}, streams=4, repeat=repeat)
-    run = run_flat(learner, room, 0, 2_000, 500)
-    assert run.first_escape is not None and 0 < run.first_escape <= 2_000, "the first room is easy"
-    assert len(run.corners) == len(run.escapes) == 10 and all(0 <= share <= 1 for share in run.corners)
-    assert [at for at, _ in run.curve][0] == 0 and len(run.curve) == 2
-    assert dataclasses.replace(run_flat(learner, room, 0, 2_000, 500), seconds=run.seconds) == run
-
-
-def test_a_run_ends_once_it_is_efficient_or_has_escaped():
-    room = generate(get_preset("paper-one-button"), 0)
-    learner = FlatLearner("x", ARCHIVE, {"cell": 1.0, "headings": 1}, streams=0)
-    whole, efficient, escaped = (run_flat(learner, room, 0, 10_000, 500, until) for until in (None, 0.4, 0.0))
-    at = whole.find_threshold(0.4)
-    assert whole.spent >= 10_000 > efficient.spent and at is not None and efficient.find_threshold(0.4) == at
-    assert efficient.curve == whole.curve[: len(efficient.curve)] and efficient.curve[-2][1] >= 0.4
-    assert escaped.first_escape == escaped.spent == whole.first_escape
-    assert len({whole.key, efficient.key, escaped.key}) == 3
-
-
-@pytest.mark.slow
-def test_a_run_in_many_rooms_ends_with_the_first_evaluation_after_its_escape():
-    room = generate(get_preset("paper-one-button"), 0)
-    streams = FlatLearner("x", "ppo", {"rollout": 64, "epochs": 1}, streams=4)
-    run = run_flat(streams, room, 0, 60_000, 500, 0.0)
-    assert run.first_escape is not None and run.spent < 60_000
 
 
 def test_advantages_as_they_are_make_the_loss_their_mean():
@@ -246,7 +148,7 @@ def test_runs_that_are_longer_are_of_the_fewest_buttons_that_were_too_many():
     assert find_longer(LEAGUE, cells) == {label: 2}, "the other has run too few"
 
 
-def test_settings_are_those_of_the_best_trials(tmp_path: Path):
+def test_settings_are_those_of_the_best_trials():
     label = LEAGUE.data["learners"][0]["label"]
     assert {len(table["candidates"]) for table in LEAGUE.data["learners"]} == {3}, "all are tuned alike"
     assert min(LEAGUE.data["trials"]["seeds"]) >= LEAGUE.data["runs"], "in other rooms"
@@ -261,41 +163,5 @@ def test_settings_are_those_of_the_best_trials(tmp_path: Path):
     chosen.append(choose_candidate(LEAGUE, lines, label).settings)
     assert chosen == [list(list_candidates(LEAGUE, label))[number].settings for number in (2, 1, 0)]
     assert find_source(LEAGUE, choose_candidate(LEAGUE, lines, label)) == "dqn", "the first's settings"
-    with pytest.raises(ComparisonError, match="has 1 trial: run python -m studies league --trials"):
+    with pytest.raises(ComparisonError, match="has 1 trial"):
         choose_candidate(LEAGUE, lines[:-1], label)
-
-
-@pytest.mark.nightly
-def test_trials_and_runs_resume_and_make_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                                  capsys: pytest.CaptureFixture[str]):
-    (table,) = [{name: value for name, value in table.items() if name != "price"}
-                for table in LEAGUE.data["learners"] if table["label"] == "q-learning, counts"]
-    small = {**LEAGUE.data, "learners": [table], "budget": 400, "eval_every": 100, "runs": 1, "sizes": [1, 2],
-             "trials": {"seeds": [100], "buttons": 1, "budget": 300, "eval_every": 100},
-             "longer": {"budget": 800, "eval_every": 400, "agents": ["q-learning, counts"]}}
-    monkeypatch.setattr("studies.study.read_toml", lambda *_: small)
-    assert main(["league", "--trials", "--docs", str(tmp_path)]) == 0
-    assert len(load("league", tmp_path)) == 3
-    assert main(["league", "--docs", str(tmp_path)]) == 0
-    runs = [line for line in load("league", tmp_path) if isinstance(line, FlatRun)]
-    searched = {line.buttons: line.escaped_at for line in load("league", tmp_path) if isinstance(line, SearcherRun)}
-    assert len(runs) == 4 and searched.keys() == {1, 2} and searched[1] <= searched[2] <= 400
-    assert "q-learning, counts, 2 buttons: none" in capsys.readouterr().out, "no run escaped with one"
-    assert main(["league", "--docs", str(tmp_path)]) == 0
-    assert "| Q-learning with a count bonus, 3 | " in (printed := capsys.readouterr().out)
-    assert "| not run, as no run escaped with fewer | Q-learning with a count bonus with 2 buttons |" in printed
-    assert main(["league", "--longer", "--docs", str(tmp_path)]) == 0
-    longer = [line for line in load("league", tmp_path) if isinstance(line, FlatRun) and line.budget == 800]
-    assert [(line.agent, line.buttons, line.seed) for line in longer] == [("q-learning, counts", 1, 0)]
-    small["runs"] = 10
-    save("league", [dataclasses.replace(run, curve=((0, 0.95), (100, 0.95)), first_escape=90, seed=seed, key=str(seed))
-                    for run in runs if run.seed == 0 for seed in range(10)], tmp_path)
-    assert main(["league", "--from-raw", "--docs", str(tmp_path)]) == 0
-    found = LEAGUE.analysis.analyse(LEAGUE, load("league", tmp_path)).numbers
-    assert found.efficient["q-learning, counts", 1] == (10, 10)
-
-
-def test_shares_are_of_the_floor():
-    places = np.abs(np.linspace(-1, 1, 201)) >= CORNER
-    corners = np.mean(places[:, np.newaxis] & places)
-    assert corners == pytest.approx(0.04, abs=0.004), "as the page says"

@@ -1,19 +1,16 @@
-"""Generalisation: the grids of the study, and rules with data of other truths."""
+"""Generalisation: rules with data of other truths."""
 
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.sets.benchmark import load_benchmark
 from studies.baseline import BaselineRun
-from studies.generalisation.analysis import analyse, compare_cells, prefer_at_once
-from studies.generalisation.grids import (
+from studies.generalisation.analysis import (
     AT_ONCE,
     CEILING,
     DEPTHS,
@@ -21,44 +18,17 @@ from studies.generalisation.grids import (
     MEMORY,
     OBJECTS,
     SEARCH_BASELINES,
-    TRAINED,
     TRANSFER,
     VECTORS,
-    GeneralisationArgs,
-    make_depth_grid,
-    make_sizes_grid,
+    analyse,
+    compare_cells,
+    prefer_at_once,
 )
-from studies.generalisation.many import run_course, run_many, run_reference
 from studies.pages.generalisation import RULES
 from studies.study import find_study
 
 STUDY = find_study("generalisation")
-ARGS = GeneralisationArgs(rung="pair", runs=2, primitives=500, rooms=3, shallow_rooms=6, first_seed=7)
 LINE = BaselineRun("sizes", "pair", "x/train#0..1 > x/test", VECTORS, 0, 500, 0.2, 1.0, 0.5, 3, 0.5, 70, "abc")
-
-
-def test_rooms_trained_in_grow_and_those_tested_in_stay():
-    grid = make_sizes_grid(load_benchmark("ladder-1"), ARGS)
-    places = grid.make_places()
-    assert [len(place.split.train) for place in places] == [1, 4, 16, 64, 256, 1000]
-    assert len({tuple(place.split.test.seeds) for place in places}) == 1 and len(places[0].split.test) == 3
-    assert len(grid.make_runs(places)) == 2 * 6 * 9 and grid.first_seed == 7
-    few = make_sizes_grid(load_benchmark("ladder-1"), dataclasses.replace(ARGS, sizes=(1, 16), agents=(VECTORS,)))
-    assert [agent.label for agent in few.agents] == [VECTORS] and len(few.train_rooms) == 2
-
-
-def test_rooms_tested_in_are_deeper_than_any_trained_in(tmp_path: Path):
-    grid = make_depth_grid(load_benchmark("ladder-1"), ARGS, tmp_path)
-    places = grid.make_places()
-    assert [place.split.test.name for place in places] == list(DEPTHS)
-    trained = {len(room.targets) for room in places[0].split.train}
-    assert trained <= {2, 3, 4} and len(trained) > 1
-    for place, depth in zip(places, DEPTHS.values(), strict=True):
-        for room in place.split.test:
-            edges = room.puzzle.edges
-            assert len(room.targets) == depth["count"]
-            assert (len(edges) == len({head for _, head in edges}) == depth["count"] - 1) or depth["graph"] == "layered"
-    assert len(grid.make_runs(places)) == 2 * 4 * 7, "and agents can act in both"
 
 
 def test_learners_from_many_rooms_at_once_take_the_place_of_those_from_one():
@@ -67,28 +37,6 @@ def test_learners_from_many_rooms_at_once_take_the_place_of_those_from_one():
     assert prefer_at_once([alone, LINE, many]) == [LINE, dataclasses.replace(many, agent=MEMORY)]
     other = dataclasses.replace(alone, rung="chain-3")
     assert other in prefer_at_once([many, other]), "of another set"
-
-
-@pytest.mark.slow
-def test_many_rooms_at_once_teach_what_helps_in_unseen_ones():
-    short, longer = (run_many("ladder-1", "chain-3", MEMORY, 16, 0, primitives, 8) for primitives in (2_000, 200_000))
-    assert longer.efficiency > short.efficiency + 0.1 and longer.escapes == 1.0
-    assert longer.rooms == "ladder-1/chain-3/train#0..16 > ladder-1/chain-3/test#0..8"
-    assert longer.agent == MEMORY + AT_ONCE
-
-
-@pytest.mark.slow
-def test_what_many_rooms_at_once_teach_helps_in_deeper_ones():
-    short, longer = (run_course("ladder-1", TRAINED, MEMORY, 0, primitives, 64, 8) for primitives in (2_000, 300_000))
-    assert [line.rung for line in longer] == list(DEPTHS) and all(line.protocol == "depth" for line in longer)
-    assert all(after.efficiency > before.efficiency + 0.1 for before, after in zip(short, longer, strict=True))
-    across = run_course("ladder-1", "pair", MEMORY, 0, 100_000, 16, 4)
-    assert [line.rung for line in across] == list(TRANSFER) and across[0].efficiency > 0.5
-    assert across[-1].rooms == "ladder-1/pair/train#0..16 > ladder-1/lattice/test#0..4" and across[-1].efficiency > 0.1
-    (name,) = CEILING
-    assert run_reference("ladder-1", "pair", name, 4).efficiency > across[0].efficiency - 0.2
-    for agent in (FLAT, VECTORS):
-        assert run_many("ladder-1", "pair", agent, 4, 0, 2_000, 2).agent == agent + AT_ONCE
 
 
 def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:

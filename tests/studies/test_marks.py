@@ -1,10 +1,9 @@
-"""What cues teach: numbers and rules with data of other truths, and real runs."""
+"""What cues teach: numbers and rules with data of other truths."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,9 +11,8 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from studies.marks.analysis import Args, Kind, MarksRun, gather, measure, run_once
+from studies.marks.analysis import Kind, MarksRun, gather
 from studies.pages.marks import RULES
-from studies.running import open_store
 from studies.study import find_study
 
 STUDY = find_study("marks")
@@ -96,24 +94,3 @@ def test_missing_cells_are_refused():
     for field, value in (("rooms", 16), ("agent", DATA["ceiling"]), ("rung", KIND["control"])):
         with pytest.raises(ComparisonError, match="has no run of"):
             gather(ONE, [line for line in lines if getattr(line, field) != value])
-
-
-def test_search_is_no_better_than_the_bayes_planner():
-    searcher, ceiling = (run_once(agent, KIND["told"], 0, 0, 0, 3)
-                         for agent in (DATA["searchers"][0], DATA["ceiling"]))
-    assert 0 < searcher.efficiency < ceiling.efficiency <= 1 and searcher.escapes == 1
-
-
-@pytest.mark.slow
-def test_runs_are_made_once_and_to_the_bit(tmp_path: Path):
-    kind = {**KIND, "sizes": [2], "primitives": 300}
-    small = dataclasses.replace(STUDY, data={**DATA, "kind": [kind], "tested": 3, "runs": 1})
-    store = open_store(small, tmp_path)
-    for _ in range(2):
-        measure(small, Args(), store)
-        runs = {run.place: run for run in store.load()}
-        assert len(runs) == 10 and store.path.read_text().count("\n") == 11
-    learner = runs[KIND["learner"], KIND["told"], 2, 0]
-    assert learner == run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3)
-    many = [run_once(KIND["learner"], KIND["told"], 2, 0, 300, 3, streams) for streams in (4, 4, 0)]
-    assert many[0] == many[1] and many[2] == learner

@@ -80,28 +80,3 @@ def test_a_single_escape_without_structure_refutes_the_headline(slice_: str, par
 def test_one_learner_that_is_faster_than_search_refutes_the_finding(parts: SimpleNamespace):
     parts.parts.first.medians[FULL, RULE][10] = 100.0
     assert not RULES["search-is-fastest-up-to-ten-buttons"](parts)
-
-
-@pytest.mark.parametrize(("study", "page"), [
-    ("tools", "tools"), ("gallery", "puzzles"), ("velocities", "observations")])
-def test_tables_on_pages_of_the_docs_are_those_of_the_studies(study: str, page: str):
-    """Where this fails, `python -m studies STUDY --from-raw` prints the table."""
-    (table,) = load_findings(study).tables.values()
-    assert table in (RESULTS.parent / f"{page}.md").read_text()
-
-
-def test_claims_on_pages_of_the_docs_hold():
-    tools, gallery, velocities = (load_findings(study).numbers for study in ("tools", "gallery", "velocities"))
-    text = {page: (RESULTS.parent / f"{page}.md").read_text() for page in ("tools", "puzzles", "observations")}
-    assert all(gain.low > 0 for gain in tools.gains.values())
-    assert (f"The symbolic model raises efficiency by {tools.gains['model'].mean:.2f} over names and places. Places "
-            f"raise it by {tools.gains['places'].mean:.2f} over names, and remembering what was tried raises it by "
-            f"{tools.gains['memory'].mean:.2f} over random calls.") in text["tools"]
-    learned, searched = gallery.always["smdp-r-max"], gallery.always["search-nearest"]
-    assert f"in every episode of {len(learned)} puzzles, the search baseline in {len(searched)}." in text["puzzles"]
-    *others, last = [f"`{preset}`" for preset in learned if preset not in searched]
-    assert len(others) == 7 and f"{', '.join(others)} and {last}." in text["puzzles"]
-    one, four = velocities.ends.values()
-    assert (one.sign, four.sign) == (1, -1) and velocities.never["four buttons", "SAC over velocities"] == 10
-    assert (f"ends {one.mean:.1f} s sooner than SAC over options. With four buttons SAC over options ends "
-            f"{-four.mean:.0f} s sooner, because SAC over velocities never escapes.") in text["observations"]

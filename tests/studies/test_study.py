@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.files import read_toml
 from studies.__main__ import main
 from studies.study import ROOT, find_study, list_studies
 from tests.forks import run_module
@@ -96,9 +95,10 @@ def test_studies_are_listed_and_a_wrong_name_is_answered_with_the_right_ones(cap
 def test_a_study_is_data_results_and_an_analysis(name: str):
     study = find_study(name)
     assert {"study.toml", "raw.jsonl"} <= {path.name for path in study.folder.iterdir()}
-    assert callable(study.analysis.analyse)
-    assert study.data["about"].startswith(("Measure ", "Run ", "Find "))
-    assert f"python -m studies {name}" in read_toml(study.folder / "study.toml")["about"]
+    if not study.holds_data_alone:
+        assert callable(study.analysis.analyse)
+        assert study.data["about"].startswith(("Measure ", "Run ", "Find "))
+        assert f"python -m studies {name}" in study.data["about"]
 
 
 @pytest.mark.parametrize("option", ["--runs=0", "--primitives=-1"])
@@ -111,3 +111,19 @@ def test_a_study_without_an_analysis_says_so(planted: Path, capsys: pytest.Captu
     (planted / "analysis.py").unlink()
     assert main([str(planted), "--from-raw"]) == 2
     assert "a study needs an analysis.py" in capsys.readouterr().err
+
+
+def test_data_alone_names_the_last_version_with_its_code(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 0 and "Data of 0.3.0." in capsys.readouterr().out
+    assert main(["tools"]) == 2
+    assert "holds data alone. The last version with the code of this study is 0.3.0" in capsys.readouterr().err
+
+
+def test_runs_of_an_earlier_version_are_read_and_not_made(planted: Path, capsys: pytest.CaptureFixture[str]):
+    assert main([str(planted), "--runs", "1", "--primitives", "60", "--workers", "1", "--out",
+                 str(planted.parent / "runs")]) == 0
+    lines = (planted / "raw.jsonl").read_bytes()
+    toml = planted / "study.toml"
+    toml.write_text('made_with = "0.3.0"\n' + toml.read_text())
+    assert main([str(planted)]) == 0
+    assert "| oracle | 1 | 1.00 |" in capsys.readouterr().out and (planted / "raw.jsonl").read_bytes() == lines
