@@ -21,6 +21,7 @@ Costs are seconds of training from the lines of studies, `hrl_escape/benchmark/c
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import sys
 from collections import defaultdict
@@ -32,6 +33,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.freezing import freeze_manifest
 from hrl_escape.agents.registry import join_name, list_agents
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import run_grid
@@ -43,12 +45,13 @@ from hrl_escape.files import write_json
 from hrl_escape.sets.benchmark import Benchmark, load_benchmark
 from hrl_escape.sets.manifest import load_manifest
 from hrl_escape.version import __version__
-from studies.ladder.calibration import find_miscalibration, find_steps
-from studies.ladder.freezing import freeze_manifest
 
 _ROOT = Path(__file__).parents[1]
-_YARDSTICKS = ("random-options", "sweep-random", "sweep",
-               "oracle")
+_YARDSTICKS = ("random-options", "sweep-random", "sweep", "oracle")
+STEP = 0.9, 0.1
+"""An agent falls between two neighbouring rungs if it is above the first efficiency, then below the second."""
+MOST_CHANCE = 0.5
+"""Efficiency that random options must stay below."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,6 +125,33 @@ def write_costs(args: Costs) -> int:
     write_json(args.out, collect_rates(read_lines()), indent=1)
     print(f"wrote {args.out}")
     return 0
+
+
+def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
+    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
+
+    In rooms with noise the planner is measured by its own expectation. A few episodes differ from it by 0.05 or less.
+    """
+    faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
+    least = 0.95 if is_stochastic else 1.0
+    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])
+
+
+def find_steps(rows: Mapping[str, Mapping[str, float]], learners: Iterable[str]) -> dict[str, list[str]]:
+    """Find learners that fall from mastery to nothing from one rung to the next; the rungs between are missing.
+
+    Args:
+        rows: efficiency of each agent on each rung, the rungs in order.
+        learners: agents to look at.
+
+    Returns:
+        Faults of each rung, in words.
+    """
+    faults: dict[str, list[str]] = {rung: [] for rung in rows}
+    for (before, high), (after, low) in itertools.pairwise(rows.items()):
+        faults[after] += [f"{agent} falls from {high[agent]:.2f} on {before} to {low[agent]:.2f}"
+                          for agent in learners if high[agent] > STEP[0] and low[agent] < STEP[1]]
+    return faults
 
 
 def freeze(args: Freeze) -> int:

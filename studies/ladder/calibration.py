@@ -6,7 +6,7 @@ Runs in one room are much alike, so tests are over rooms. Only cells of `LEAST_R
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,15 +16,10 @@ from hrl_escape.benchmark.inference import compare_pairs, correct_by_holm
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from studies.baseline import BaselineRun
 
-__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "Cells", "Step", "average_rooms", "compare_orders", "compare_steps",
-           "find_miscalibration", "find_steps"]
+__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "Cells", "Step", "average_rooms", "compare_orders", "compare_steps"]
 
 CHANCE, ROUND = "random-options", "sweep-random"
 PERMUTATIONS = 2_000
-STEP = 0.9, 0.1
-"""A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
-MOST_CHANCE = 0.5
-"""Efficiency that random options must stay below."""
 IN_ORDER, KNOWN = "sweep", "oracle"
 
 Cells = Mapping[tuple[str, str], Sequence[BaselineRun]]
@@ -78,30 +73,3 @@ def compare_orders(cells: Cells, rungs: Sequence[str]) -> dict[str, tuple[float,
             tests[rung] = compare_pairs([np.array(sorted(differences))])
     adjusted = correct_by_holm([test.p for test in tests.values()])
     return {rung: (test.difference, p) for (rung, test), p in zip(tests.items(), adjusted, strict=True)}
-
-
-def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
-    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
-
-    In rooms with noise the planner is measured by its own expectation. A few episodes differ from it by 0.05 or less.
-    """
-    faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
-    least = 0.95 if is_stochastic else 1.0
-    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])
-
-
-def find_steps(rows: Mapping[str, Mapping[str, float]], learners: Iterable[str]) -> dict[str, list[str]]:
-    """Find learners that fall from mastery to nothing from one rung to the next; the rungs between are missing.
-
-    Args:
-        rows: efficiency of each agent on each rung, the rungs in order.
-        learners: agents to look at.
-
-    Returns:
-        Faults of each rung, in words.
-    """
-    faults: dict[str, list[str]] = {rung: [] for rung in rows}
-    for (before, high), (after, low) in itertools.pairwise(rows.items()):
-        faults[after] += [f"{agent} falls from {high[agent]:.2f} on {before} to {low[agent]:.2f}"
-                          for agent in learners if high[agent] > STEP[0] and low[agent] < STEP[1]]
-    return faults

@@ -4,25 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hrl_escape.settings import read_record
 from studies import controls
 from studies.baseline import BaselineRun
-from studies.learned.dial import DialLine, DialSettings, find_best_option, measure_dial, tabulate_dial
-from studies.running import GridArgs, measure_grids
-from studies.store import Store
+from studies.learned.dial import DialLine, find_best_option, tabulate_dial
 from studies.study import Findings, Study
 
-__all__ = ["LINES", "analyse", "measure"]
+__all__ = ["LINES", "analyse"]
 
 LINES = (BaselineRun, DialLine)
-
-
-def measure(study: Study, args: GridArgs, store: Store) -> None:
-    """Run the grid, then place what its agents learn on the dial."""
-    measure_grids(study, args, store)
-    (grid,) = study.grids
-    seeds = range(args.first_seed, args.first_seed + (args.runs or grid.runs))
-    measure_dial(read_record(DialSettings, study.data["dial"]), grid, store, seeds, args.primitives or grid.primitives)
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun | DialLine]) -> Findings:

@@ -1,65 +1,31 @@
-"""Learned options compared with planned ones that fail with known probability, in the study of learned hierarchies.
+"""Options learned over planned presses, placed on a dial of planned options that fail with a known probability.
 
-Each option is called at the start of an episode to light the goal's button, with all that it needs. The planned one
-knows the graph; the learned ones are the options of agents that learned over planned presses, after several budgets.
+One call of an option is worth gamma^k if its goal holds after the k primitives that it took, and 0 if not. A planned
+option that fails with probability f (`OptionDegradation`) is worth 1 - f times the planned one. So a learned option is
+worth a planned option that fails with some probability. A detour counts as a failure would.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
+from scipy.optimize import isotonic_regression
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.training.train import train
-from hrl_escape.benchmark.grid import Grid
-from hrl_escape.benchmark.inference import LEVEL
-from hrl_escape.benchmark.statistics import LEAST_RUNS
-from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.observations.base import make_observer
-from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.benchmark.inference import LEVEL, compute_interval
+from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_mean
 from hrl_escape.errors import ComparisonError
-from hrl_escape.options.degraded import OptionDegradation
-from hrl_escape.options.learned import make_learned_options
-from hrl_escape.options.options_env import OptionsEnv
-from studies.learned.option_dial import DialPlace, measure_option, place_on_dial
-from studies.store import Store
 from studies.tables import make_table
 
-__all__ = ["DialLine", "DialSettings", "PlacedOption", "find_best_option", "measure_dial", "place_lines",
+__all__ = ["DialLine", "DialPlace", "PlacedOption", "find_best_option", "place_lines", "place_on_dial",
            "tabulate_dial"]
 
 PLANNED = "planned"
-OPTION_SET = "press-with-ancestors"
-
-
-@dataclasses.dataclass(frozen=True)
-class DialSettings:
-    """The options that are placed, as data.
-
-    Attributes:
-        room: name of the room in the grid.
-        algorithms: agents whose options are placed; of those that learn none it is their whole policy.
-        shares: of the training budget, after which options are placed.
-        failures: points of the curve.
-        draws: seeds of the planned option's failures.
-        calls: of each option and seed. Of the options of an agent the best in as many calls before these counts.
-        longest: primitives after which a call is cut.
-    """
-
-    room: str
-    algorithms: tuple[str, ...]
-    shares: tuple[float, ...]
-    failures: tuple[float, ...]
-    draws: int
-    calls: int
-    longest: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,89 +54,47 @@ class DialLine:
         return self.room, self.option, self.primitives, -1.0 if self.failure is None else self.failure, self.seed
 
 
-# --- runs ----------------------------------------------------------------------------------
+class DialPlace(NamedTuple):
+    """Place of an option on the dial.
+
+    Attributes:
+        failure: probability of failing at which a planned option is worth as much, in [0, 1]: 0 for one that is worth
+            no less than the planned one.
+        low: lower end of its interval.
+        high: upper end.
+    """
+
+    failure: float
+    low: float
+    high: float
 
 
-def measure_dial(settings: DialSettings, grid: Grid, store: Store, seeds: Sequence[int], budget: int) -> None:
-    """Measure what is missing in a store, and keep each line there at once.
+def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int = 0, level: float = LEVEL
+                  ) -> DialPlace:
+    """Find how often a planned option must fail to be worth as much as a learned one.
 
     Args:
-        settings: the options that are placed.
-        grid: comparison that has the room and the agents, with their settings.
-        store: where lines are kept.
-        seeds: of training.
-        budget: primitives, of which `settings.shares` are spent.
+        curve: probability of failing -> what calls of the planned option are worth, of as many calls as there are. It
+            is made monotone, and linear between its points.
+        worth: what the learned option is worth, one number a run.
+        seed: fixes the draws of the interval, which is that of the mean over runs; the curve counts as known.
+        level: confidence of the interval; 1 - 0.05 / n where n options are compared, or the best of n is picked.
 
     Raises:
-        FileReadError: the file is damaged.
-        FileWriteError: it cannot be written.
-        EscapeError: see `train`.
+        ComparisonError: fewer than two points, or no run.
     """
-    agents = _list_agents(settings, grid)
-    (room,) = (room for room in grid.rooms if room.label == settings.room)
-    there, instance = {line.place for line in store.load()}, room.make_instance()
-    for line in _list_wanted(settings, agents, seeds, budget):
-        if line.place not in there:
-            worth = (_measure_planned(settings, instance, line) if line.failure is not None else
-                     _measure_learned(settings, agents[line.option], instance, line))
-            store.add([dataclasses.replace(line, worth=round(float(worth.mean()), 4))])
+    scores = np.asarray(worth, np.float64).ravel()
+    if len(curve) < 2 or not scores.size:
+        raise ComparisonError(f"a place on the dial needs two points and one run, not {len(curve)} and {scores.size}")
+    failures = np.array(sorted(curve))
+    means = isotonic_regression([np.mean(np.asarray(curve[failure], np.float64)) for failure in failures],
+                                increasing=False).x
 
+    def find(value: float) -> float:
+        return float(np.interp(value, means[::-1], failures[::-1]))
 
-def _list_wanted(settings: DialSettings, agents: Iterable[str], seeds: Sequence[int], budget: int
-                 ) -> Iterator[DialLine]:
-    """Lines without their numbers, all agents of a seed before the next seed."""
-    for failure in settings.failures:
-        for draw in range(settings.draws):
-            yield DialLine(settings.room, PLANNED, 0, failure, draw, 0.0)
-    for seed, share, agent in itertools.product(seeds, settings.shares, agents):
-        yield DialLine(settings.room, agent, round(share * budget), None, seed, 0.0)
-
-
-def _list_agents(settings: DialSettings, grid: Grid) -> dict[str, AgentSpec]:
-    """Learners whose options are placed, by label."""
-    every = {agent.algorithm: agent for agent in grid.agents if agent.learns}
-    return {every[name].label: every[name] for name in settings.algorithms}
-
-
-def _get_goal(instance: RoomInstance) -> int:
-    """Number of the button that opens the exit."""
-    assert isinstance(instance.puzzle, ButtonsPuzzle), "rooms of the study have buttons"
-    return instance.puzzle.goal
-
-
-def _is_lit(instance: RoomInstance) -> Callable[[Any, Mapping[str, Any]], bool]:
-    """Function of observation and info: the goal's button is on."""
-    goal = _get_goal(instance)
-    return lambda observation, info: bool(info["buttons_on"][goal])
-
-
-def _measure_planned(settings: DialSettings, instance: RoomInstance, line: DialLine) -> NDArray[np.float64]:
-    assert line.failure is not None
-    degradation = OptionDegradation(failure=line.failure, seed=line.seed, option_set=OPTION_SET)
-    env = OptionsEnv(EscapeRoomEnv(instance=instance), degradation, include_primitives=False,
-                     max_duration=settings.longest)
-    return measure_option(env, env.action_names[_get_goal(instance)], _is_lit(instance), settings.calls, line.seed)
-
-
-def _measure_learned(settings: DialSettings, spec: AgentSpec, instance: RoomInstance, line: DialLine
-                     ) -> NDArray[np.float64]:
-    """Calls of the agent's best option, chosen by calls of other episodes."""
-    room = EscapeRoomEnv(instance=instance, observation="features")
-    presses = OptionsEnv(room, include_primitives=False, trace=spec.needs_trace)
-    agent = train(spec.name, presses, primitives=line.primitives, seed=line.seed, settings=spec.settings,
-                  eval_episodes=0, progress=False).agent
-    assert agent is not None, "it was trained here, not read from a file"
-    observer, goal = make_observer("features", room.rules), _get_goal(instance)
-    learned = make_learned_options(
-        agent, lambda state: np.array([option.initiation(state) for option in presses.options]),
-        observe=observer.observe, until=lambda state: float(instance.puzzle.get_lit(state.puzzle)[goal]))
-    env = OptionsEnv(presses, learned, include_primitives=False, max_duration=settings.longest)
-    tried = {name: measure_option(env, name, _is_lit(instance), settings.calls, seed=1).mean()
-             for name in env.action_names}
-    return measure_option(env, max(tried, key=tried.__getitem__), _is_lit(instance), settings.calls, seed=2)
-
-
-# --- findings ------------------------------------------------------------------------------
+    low, high = compute_interval(compute_mean, [scores], (0.0, 1.0), np.random.default_rng(seed), level=level)
+    return DialPlace(find(float(scores.mean())), find(float(high)), find(float(low)))
 
 
 class PlacedOption(NamedTuple):

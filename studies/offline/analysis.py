@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from rich.console import Console
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
-from studies.unseen import count_fewest, get_unseen, play_unseen
 
-from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import REFERENCES, AgentSpec
-from hrl_escape.agents.training.evaluation import Evaluation, evaluate
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.inference import LEVEL
 from hrl_escape.benchmark.references.registry import SEARCH_BASELINES, make_reference
@@ -28,8 +27,11 @@ from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.data.catalogue import find_recording
 from hrl_escape.data.materialise import load_data
 from hrl_escape.data.recording import load_recording
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError, ConfigError
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.sets.benchmark import load_benchmark
 from studies.figures import Theme, make_figure, write_label
 from studies.running import StudyArgs
 from studies.statistics import compare_signs
@@ -84,7 +86,7 @@ LINES = (OfflineResult,)
 # --- runs ------------------------------------------------------------------------------------
 
 
-def score(evaluation: Evaluation, fewest: float) -> float:
+def score(evaluation: Evaluation, fewest: ArrayLike) -> float:
     """Mean efficiency of some episodes."""
     return compute_mean_efficiency(evaluation.escaped, evaluation.lengths, fewest, is_expected=False)
 
@@ -100,20 +102,29 @@ def name_unseen(kind: str) -> str:
     return f"{UNSEEN} {kind}".strip()
 
 
-def run_unseen(agent: str, kind: str, rung: str, seed: int, tested: int) -> OfflineResult:
-    """Train on all rooms that a data set holds, or play a searcher; an episode in each of other rooms."""
-    def make_player(env: gymnasium.Env, recorder: StateRecorder) -> Agent:
-        if agent in REFERENCES:
-            return make_reference(agent, env, recorder)
-        name, settings = read_learner(agent)
-        player = train(name, env, data=load_data(f"{rung}-{kind}-v1", observation="objects"), seed=seed,
-                       settings={"values": "network", "network": "objects"} | settings, eval_episodes=0,
-                       progress=False).agent
-        assert player is not None  # a run without a folder gives its agent back
-        return player
+def count_fewest(room: RoomInstance) -> float:
+    """Primitives of the best known escape, from the first start."""
+    found = find_best_known(room, list_start_states(room)[0]).primitives
+    assert found is not None, "rooms of the benchmark can be escaped from"
+    return float(found)
 
-    efficiency, _ = play_unseen(OPTIONS_ALONE, get_unseen("ladder-1", rung, tested), make_player)
-    return OfflineResult(agent, name_unseen(kind), seed, efficiency)
+
+def run_unseen(agent: str, kind: str, rung: str, seed: int, tested: int) -> OfflineResult:
+    """Train on all rooms of a data set, or take a search baseline; play an episode in each of the first test rooms."""
+    rooms = load_benchmark("ladder-1")[rung].test[:tested]
+    order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(tested)}
+    env, recorder = make_agent_env(OPTIONS_ALONE, rooms, "objects", order)
+    with closing(env):
+        if agent in REFERENCES:
+            player = make_reference(agent, env, recorder)
+        else:
+            name, settings = read_learner(agent)
+            player = train(name, env, data=load_data(f"{rung}-{kind}-v1", observation="objects"), seed=seed,
+                           settings={"values": "network", "network": "objects"} | settings, eval_episodes=0,
+                           progress=False).agent
+            assert player is not None  # a run without a folder gives its agent back
+        found = evaluate(player, env, tested)
+    return OfflineResult(agent, name_unseen(kind), seed, round(score(found, [count_fewest(room) for room in rooms]), 4))
 
 
 def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> OfflineResult:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from itertools import count, islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.instance import RoomInstance
@@ -63,8 +63,6 @@ class Contestant:
         streams: copies of the room that it learns in at once, compiled; 0 for one ordinary environment.
         replicates: the first so many of a series.
         stage: runs of a later stage are begun when those of earlier ones are done.
-        explores_by: what its random choices are in place of single primitives; see `studies/price/explorer.py`.
-        looks_along: what it imagines in addition to what it runs; see `studies/price/lookahead.py`.
     """
 
     label: str
@@ -76,8 +74,6 @@ class Contestant:
     streams: int = 0
     replicates: int = 10
     stage: int = 0
-    explores_by: Literal["", "options", "repeats"] = ""
-    looks_along: Literal["", "options", "random ways", "primitives"] = ""
 
     @property
     def has_options(self) -> bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +30,6 @@ from hrl_escape.sets.goals import GoalsEnv
 from hrl_escape.settings import replace_settings
 from hrl_escape.version import __version__, find_versions
 from studies.price.contestants import CONTESTANTS, EFFICIENT, FRESH, Contestant, sample_replicate_room
-from studies.price.explorer import make_explorer
-from studies.price.lookahead import make_lookahead
 from studies.store import Store
 
 __all__ = ["PriceRun", "compute_run_key", "list_price_runs", "measure_price_runs", "run_contestant"]
@@ -142,8 +139,7 @@ def compute_run_key(contestant: Contestant, room: RoomInstance, replicate: int) 
         "version": __version__, "versions": find_versions(), "agent": contestant.agent,
         "settings": {name: value for name, value in settings.items() if value != defaults[name]},
         "streams": contestant.streams, "room": room.id, "seed": replicate,
-        "budget": contestant.budget, "eval_every": contestant.eval_every, "efficient": EFFICIENT,
-    } | {name: value for name in ("explores_by", "looks_along") if (value := getattr(contestant, name))})
+        "budget": contestant.budget, "eval_every": contestant.eval_every, "efficient": EFFICIENT})
 
 
 def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -> PriceRun:
@@ -162,17 +158,9 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
     least = 1 - most - 1e-9 if contestant.has_goals else room.reward.exit + room.reward.step * most
     env = _make_training_env(contestant, room, single)
     started = time.process_time()
-    plan: dict[str, Any] = {"primitives": contestant.budget, "seed": replicate, "eval_every": contestant.eval_every,
-                            "eval_episodes": 1, "progress": False, "until_return": least}
-    if contestant.explores_by:
-        result = train(make_explorer(contestant.explores_by, env, replicate, contestant.settings), env, **plan)
-    elif contestant.looks_along:
-        with closing(OptionsEnv(_make_single(room), trace=True)) as model:
-            agent = make_lookahead(contestant.looks_along, env, model, replicate, contestant.settings)
-            result = train(agent, env, **plan)
-    else:
-        result = train(contestant.agent, env, settings=contestant.settings,
-                       eval_env=single if contestant.streams else None, **plan)
+    result = train(contestant.agent, env, settings=contestant.settings,
+                   eval_env=single if contestant.streams else None, primitives=contestant.budget, seed=replicate,
+                   eval_every=contestant.eval_every, eval_episodes=1, progress=False, until_return=least)
     seconds = time.process_time() - started
     env.close()
     episodes, escapes = _count_episodes(result)
@@ -193,8 +181,6 @@ def _make_single(room: RoomInstance) -> Any:
 
 def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymnasium.Env) -> gymnasium.Env | VectorEnv:
     """Environment in which a contestant learns; many streams have their kernels compiled, outside of its time."""
-    if contestant.explores_by or contestant.looks_along:
-        return OptionsEnv(single, trace=True)
     if contestant.has_options:
         return OptionsEnv(single, include_primitives=False)
     if contestant.has_goals:

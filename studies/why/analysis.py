@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import SimpleNamespace
@@ -14,19 +13,16 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
-from hrl_escape.settings import read_record
 from studies.figures import Theme, make_figure, write_label
-from studies.price.contestants import Contestant
 from studies.price.ratios import COSTS, CostRatio, Middle, compare_costs, correct_prices, measure_growth
-from studies.price.runs import PriceRun, measure_price_runs
-from studies.running import StudyArgs, open_store
-from studies.store import Store
+from studies.price.runs import PriceRun
+from studies.running import open_store
 from studies.study import Findings, Study, find_study
 from studies.tables import make_table
 from studies.titles import find_title
 
-__all__ = ["ESCAPE", "HALF", "LINES", "Args", "Pair", "analyse", "compare", "count_alike", "list_families",
-           "list_pairs", "measure"]
+__all__ = ["ESCAPE", "HALF", "LINES", "Pair", "analyse", "compare", "count_alike", "list_families",
+           "list_pairs"]
 
 LINES = (PriceRun,)
 ESCAPE, HALF = COSTS[1], COSTS[3]
@@ -35,35 +31,11 @@ EXPLORES, REPEATS = "options explore", "repeats explore"
 AHEAD, RANDOM_AHEAD = "options ahead", ("random ways ahead", "primitives ahead")
 
 
-@dataclasses.dataclass(frozen=True)
-class Args(StudyArgs):
-    """Options of the study."""
-
-    runs: int = 10
-    """Rooms of each size, each with a training seed of its own."""
-    minutes: float | None = None
-    """Minutes after which no further run is begun."""
-
-
 class Pair(NamedTuple):
     """Two learners whose costs are compared, both by label."""
 
     one: str
     other: str
-
-
-def read_learners(study: Study) -> tuple[Contestant, ...]:
-    """Learners that the study runs."""
-    fields = {field.name for field in dataclasses.fields(Contestant)}
-    return tuple(read_record(Contestant, {name: value for name, value in learner.items() if name in fields})
-                 for learner in study.data["learners"])
-
-
-def measure(study: Study, args: Args, store: Store) -> None:
-    """Make the runs that are missing."""
-    for made in measure_price_runs(store, 0, args.runs, args.minutes, read_learners(study)):
-        print(f"{made.agent}, {count_nouns(made.buttons, 'button')}, replicate {made.replicate}: first escape "
-              f"{made.first_escape}, efficient at {made.efficient_at}, at last {made.efficiency:.2f}")
 
 
 def list_families(study: Study) -> tuple[tuple[Pair, ...], ...]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from functools import cache
 
+from benchmarks.freezing import freeze_manifest
 from hrl_escape.env.config import Between, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.sets.manifest import Manifest, RungRecord, SetRecord
-from studies.ladder.freezing import freeze_manifest
 
 
 def make_config(count: int, kind: str) -> RoomConfig:

@@ -9,6 +9,7 @@ import sys
 
 import pytest
 
+from benchmarks.freezing import freeze_manifest
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
@@ -17,7 +18,6 @@ from hrl_escape.sets.benchmark import Benchmark, certify_rung, find_overlaps, li
 from hrl_escape.sets.keys import RoomKeys, compute_keys, compute_task_key
 from hrl_escape.sets.manifest import Manifest, SetRecord
 from hrl_escape.sets.rung import choose_seeds, derive_seed, is_held_out
-from studies.ladder.freezing import freeze_manifest
 from tests.command_line import run_here
 from tests.covering import thin
 from tests.sets.small import make_manifest
@@ -186,7 +186,7 @@ def test_axes_are_series_of_rungs_of_their_benchmark_each_in_one():
 
 SCRIPT = """
 from hrl_escape.sets.benchmark import load_benchmark
-from studies.ladder.freezing import freeze_manifest
+from benchmarks.freezing import freeze_manifest
 for name in ("pair", "lattice", "clutter", "reach", "doors", "freight"):
     rung = load_benchmark("ladder-1")[name]
     print(rung.train[0].digest, rung.test[1].digest)

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.freezing import freeze_manifest
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
@@ -14,7 +15,6 @@ from hrl_escape.errors import VerificationError
 from hrl_escape.sets.benchmark import Benchmark, certify_rung, find_overlaps, load_benchmark
 from hrl_escape.sets.keys import LATEST_LAYOUTS, SeenLayouts, compute_keys, list_points
 from hrl_escape.sets.manifest import Manifest, RungRecord, SetRecord
-from studies.ladder.freezing import freeze_manifest
 from tests.covering import thin
 from tests.sets.small import make_config, make_manifest
 

@@ -1,19 +1,15 @@
-"""The ladder at its own budgets: comparisons of known data, and a real run of each learner."""
+"""The ladder at its own budgets: comparisons of known data."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hrl_escape.benchmark.protocols import get_budget
-from hrl_escape.errors import UnknownNameError
 from studies.baseline import BaselineRun
-from studies.budgets.analysis import Args, compare_budgets, identify, measure, run_once
-from studies.running import open_store
+from studies.budgets.analysis import compare_budgets
 from studies.study import find_study
 
 STUDY = find_study("budgets")
@@ -61,46 +57,3 @@ def test_a_larger_budget_is_compared_room_by_room():
     del former["lattice", PPO], former["lattice-5", PPO]
     assert PPO not in compare_budgets(group(make_lines(lambda agent, rung: 0.8)), former, RUNGS)
     assert not compare_budgets(group(make_lines(lambda agent, rung: 0.8)), {}, RUNGS)
-
-
-def test_names_that_are_unknown_are_refused(tmp_path: Path):
-    for changes, what in (({"agents": ("smdp-pqo",)}, "agent"), ({"rungs": ("latice",)}, "rung")):
-        args = Args(docs=tmp_path, **changes)
-        with pytest.raises(UnknownNameError, match=f"{what} of this study"):
-            measure(STUDY, args, open_store(STUDY, tmp_path))
-
-
-@pytest.mark.slow
-def test_a_real_run_is_kept_and_not_made_twice(tmp_path: Path):
-    args = Args(docs=tmp_path, rungs=("doormat",), agents=(PPO,), rooms=2, runs=1, primitives=600, workers=1)
-    store = open_store(STUDY, tmp_path)
-    measure(STUDY, args, store)
-    lines = store.load()
-    assert [(line.rooms, line.seed, line.primitives, line.episodes) for line in lines] == [
-        (f"ladder-1/doormat/test#{room}", 0, 600, 5) for room in range(2)]
-    assert all(line.first_escape is not None for line in lines), "a room with one button"
-    text = store.path.read_text()
-    measure(STUDY, args, store)
-    assert store.path.read_text() == text
-
-
-@pytest.mark.nightly
-def test_published_runs_count_as_made_unless_something_that_decides_them_has_changed():
-    for line in {line.rung: line for line in open_store(STUDY, None).load()}.values():
-        number = int(re.findall(r"#(\d+)$", line.rooms)[0])
-        what = (line.rung, number, line.agent, line.seed, line.primitives)
-        assert identify(STUDY.data, *what) == (line.place, line.key)
-        for changes in ({"copies": 4}, {"episodes": 1}):
-            place, key = identify(STUDY.data | changes, *what)
-            assert place == line.place and key != line.key
-
-
-def test_no_run_is_begun_after_the_time_is_up():
-    assert run_once(STUDY.data, "doormat", 0, PPO, 0, 600, until=0.0) is None
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("agent", list(STUDY.data["agents"]))
-def test_every_learner_learns_from_copies_of_a_room(agent: str):
-    run = run_once(STUDY.data, "pair", 0, agent, 0, 30_000)
-    assert run is not None and run.escapes == 1 and run.efficiency > 0.8

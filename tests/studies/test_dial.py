@@ -1,22 +1,12 @@
-"""Learned options on the dial: places follow from the lines, and the lines from calls."""
+"""Learned options on the dial: places follow from the lines."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
+import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.settings import read_record
-from studies.learned.dial import (
-    DialLine,
-    DialSettings,
-    find_best_option,
-    measure_dial,
-    place_lines,
-    tabulate_dial,
-)
-from studies.store import Store
+from studies.learned.dial import DialLine, find_best_option, place_lines, place_on_dial, tabulate_dial
 from studies.study import find_study
 
 STUDY = find_study("learned")
@@ -24,6 +14,7 @@ ROOM = STUDY.data["dial"]["room"]
 WHOLE = 0.5
 CURVE = [DialLine(ROOM, "planned", 0, failure, draw, (1 - failure) * WHOLE) for failure in (0.0, 0.5, 1.0)
          for draw in range(4)]
+WORTH = {failure: [(1 - failure) * WHOLE] * 10 for failure in (0.0, 0.25, 0.5, 1.0)}
 
 
 def make_lines(worth: dict[tuple[str, int], float], runs: int = 10) -> list[DialLine]:
@@ -69,19 +60,24 @@ def test_the_table_has_every_place():
     assert "| HRC over options | 80% (" in table and "| DAC over options | - | 90% (" in table
 
 
-def test_lines_are_measured_once(tmp_path: Path, monkeypatch):
-    """Who has found the way is worth as much as the planner that knew it."""
-    store, (grid,) = Store(tmp_path / "dial.jsonl", (DialLine,)), STUDY.grids
-    settings = read_record(DialSettings, {
-        **STUDY.data["dial"], "room": "layered-2-ignore#1", "algorithms": ["hrc", "q-learning"], "shares": [0.02, 1.0],
-        "failures": [0.0, 1.0], "draws": 1, "calls": 2})
-    measure_dial(settings, grid, store, range(1), 400)
-    lines = {(line.option, line.primitives, line.failure): line.worth for line in store.load()}
-    planned, hrc = lines["planned", 0, 0.0], "smdp-hrc"
-    assert len(lines) == 6 and lines["planned", 0, 1.0] == 0 < planned < 1
-    assert lines[hrc, 400, None] == pytest.approx(planned, abs=0.02)
-    assert max(lines.values()) <= planned, "nothing is better, and no call is longer than its primitives"
-    whole = store.path.read_bytes()
-    monkeypatch.setattr("studies.learned.dial.train", None)
-    measure_dial(settings, grid, store, range(1), 400)
-    assert store.path.read_bytes() == whole
+def test_the_place_follows_from_the_curve():
+    assert place_on_dial(WORTH, [0.6 * WHOLE] * 50).failure == pytest.approx(0.4)
+    assert place_on_dial(WORTH, [0.05 * WHOLE] * 50).failure == pytest.approx(0.95)
+    detour = place_on_dial(WORTH, [WHOLE * 0.99**20] * 50)
+    assert detour.failure == pytest.approx(1 - 0.99**20), "twenty primitives more are as bad"
+    assert place_on_dial(WORTH, [1.0] * 10)[:2] == (0.0, 0.0)
+    assert place_on_dial(WORTH, [0.0] * 10).failure == 1.0
+    wide, narrow = (place_on_dial(WORTH, np.resize([0.0, WHOLE], runs)) for runs in (4, 400))
+    assert wide.low < narrow.low < 0.5 < narrow.high < wide.high
+
+
+def test_a_curve_that_is_bent_by_chance_is_made_monotone():
+    bent = {0.0: [0.9], 0.2: [0.7], 0.4: [0.8], 0.6: [0.3]}
+    assert place_on_dial(bent, [0.525] * 20).failure == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(("curve", "runs", "match"), [
+    ({0.0: [1.0]}, [1.0], "needs two points and one run, not 1 and 1"), (WORTH, [], "not 4 and 0")])
+def test_errors_say_what_is_missing(curve: dict[float, list[float]], runs: list[float], match: str):
+    with pytest.raises(ComparisonError, match=match):
+        place_on_dial(curve, runs)
