@@ -1,20 +1,28 @@
-"""Flat agents and their runs, most of them in many copies of a room at once. Shared by the studies of flat agents."""
+"""Flat agents, their runs, and actions repeated in many copies of a room. Shared by the studies of flat agents."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from hrl_escape.agents.many_envs import EndedDecisions
 from hrl_escape.agents.registry import get_recipe
+from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.settings import read_record, replace_settings
 from studies.statistics import find_lasting
 from studies.study import Study
 
-__all__ = ["FlatLearner", "FlatRun", "TENTHS", "count_untrained", "list_learners"]
+__all__ = ["CORNER", "FlatLearner", "FlatRun", "RepeatedStreams", "TENTHS", "count_untrained", "list_learners"]
 
+CORNER = 0.8
+"""Share of the way from the middle to a wall. Robots beyond it along both walls are in a corner: 4 % of the floor."""
 TENTHS = 10
 ARCHIVE = "archive"
 """Name of the learner that is not an agent."""
@@ -94,6 +102,103 @@ class FlatRun:
     def find_threshold(self, least: float) -> int | None:
         """Primitives at the first of two evaluations in a row of at least this efficiency, or None."""
         return find_lasting(self.curve, least)
+
+
+class RepeatedStreams:
+    """Many environments that repeat every action for some primitives, and counts of primitives in corners.
+
+    A decision lasts `repeat` primitives, or to the end of its episode; streams decide at their own pace.
+
+    Args:
+        env: vector environment of one room, with tensors.
+        repeat: primitives of a decision, 1 or more.
+        gamma: discount per primitive.
+    """
+
+    def __init__(self, env: Any, repeat: int, gamma: float) -> None:
+        self._env, self._inner, self._repeat = env, VectorManyEnvs(env, gamma), repeat
+        self.count, self.gamma = env.num_envs, gamma
+        self.observation_space, self.action_space = env.single_observation_space, env.single_action_space
+        room = env.unwrapped.instances[0]
+        self._reach = room.half_width, room.half_depth
+        self.corners: list[float] = []
+        """Share of the streams that were in a corner, primitive by primitive."""
+        self.primitives = 0
+        self.first_escape: int | None = None
+        """Primitives of all streams together when the first of them escaped."""
+
+    @property
+    def device(self) -> torch.device:
+        """Device of all tensors."""
+        return self._inner.device
+
+    @property
+    def observation(self) -> Tensor:
+        """Observations now, (streams, ...)."""
+        return self._inner.observation
+
+    @property
+    def action_mask(self) -> Tensor:
+        """Actions legal now, bool (streams, actions)."""
+        return self._inner.action_mask
+
+    @property
+    def is_waiting(self) -> Tensor:
+        """Streams whose last decision is over, bool (streams,)."""
+        return (self._left == 0) & self._inner.is_waiting
+
+    def describe(self) -> Mapping[str, Any]:
+        """Arguments that decide the numbers, as JSON values."""
+        return {**self._env.unwrapped.describe(), "repeat": self._repeat}
+
+    def reset(self, seeds: int) -> None:
+        """Begin all episodes anew."""
+        self._inner.reset(seeds)
+        zero = torch.zeros(self.count, dtype=torch.int64, device=self.device)
+        self._left, self._action, self._duration = zero, zero.clone(), zero.clone()
+        self._begun = self.observation
+        self._sums = torch.zeros((2, self.count), device=self.device)
+
+    def step(self, action: Tensor) -> EndedDecisions:
+        """Run one primitive in every stream; decisions that ended with it are in `where`."""
+        asked = self.is_waiting
+        self._action = torch.where(asked, action, self._action)
+        self._left = torch.where(asked, self._repeat, self._left)
+        self._duration = torch.where(asked, 0, self._duration)
+        self._sums[:, asked] = 0.0
+        self._begun = torch.where(asked[:, None], self.observation, self._begun)
+        done = self._inner.step(self._action)
+        self._watch()
+        self.primitives += int(done.where.sum())
+        if self.first_escape is None and bool((done.success & done.terminated & done.where).any()):
+            self.first_escape = self.primitives
+        reward = torch.where(done.where, done.reward, 0.0)
+        self._sums += torch.stack((reward, reward * self.gamma ** self._duration.float()))
+        self._duration, over = self._duration + done.where.long(), (done.terminated | done.truncated) & done.where
+        self._left = torch.where(over, 0, self._left - done.where.long())
+        ended = done.where & (self._left == 0)
+        return done._replace(where=ended, observation=self._begun, action=self._action, reward=self._sums[0].clone(),
+                             discounted_reward=self._sums[1].clone(), duration=self._duration.clamp(min=1))
+
+    def _watch(self) -> None:
+        state = self._env.unwrapped.room.state
+        away = [abs(part) >= CORNER * reach for part, reach in zip((state.x, state.y), self._reach, strict=True)]
+        self.corners.append(float((away[0] & away[1]).float().mean()))
+
+    def state_dict(self) -> StateTree | None:
+        """Running episodes, decisions and counts, so that an evaluation does not end them."""
+        inner = self._inner.state_dict()
+        own = {name: getattr(self, f"_{name}") for name in ("left", "action", "duration", "begun", "sums")}
+        seen = {"corners": np.array(self.corners), "primitives": self.primitives, "first_escape": self.first_escape}
+        return None if inner is None else {"inner": inner, **seen, **own}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        self._inner.load_state_dict(state["inner"])
+        self.corners = list(state["corners"])
+        self.primitives, self.first_escape = state["primitives"], state["first_escape"]
+        for name in ("left", "action", "duration", "begun", "sums"):
+            setattr(self, f"_{name}", torch.from_numpy(np.array(state[name])).to(self.device))
 
 
 def count_untrained(learner: FlatLearner) -> int:

@@ -1,17 +1,19 @@
-"""Flat agents: comparisons of known data."""
+"""Flat agents: repeated actions in many copies of a room, and comparisons of known data."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from hrl_escape.agents.components.policy_gradient import compute_clipped_loss
+from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ComparisonError
-from studies.flat import ARCHIVE, FlatLearner, FlatRun, count_untrained
+from studies.flat import ARCHIVE, FlatLearner, FlatRun, RepeatedStreams, count_untrained
 from studies.flat_ppo.analysis import compare as compare_ppo
 from studies.flat_ppo.analysis import find_untrained, read_corners, read_escape, take_exponent
 from studies.league.analysis import (
@@ -32,6 +34,66 @@ from studies.study import find_study
 LINE = FlatRun("ppo", 2, 0, 30, 1_000, 500, ((0, 0.0), (500, 0.0), (1_000, 0.0)), (0.1,) * 10, (0.2,) * 10, (1.7,) * 10,
                1.0, "a")
 PPO, LEAGUE = find_study("flat-ppo"), find_study("league")
+
+
+# --- repeated actions -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rooms() -> Any:
+    env = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=3, config="paper-two-button", observation="features",
+                             output="torch")
+    env.reset(seed=0)
+    return env
+
+
+@pytest.mark.parametrize("repeat", [1, 4])
+def test_repeated_actions_are_decisions_of_that_many_primitives(rooms: Any, repeat: int):
+    streams = RepeatedStreams(rooms, repeat, 0.9)
+    streams.reset(0)
+    seen, ended = [], 0
+    for step in range(2 * repeat):
+        assert bool(streams.is_waiting.all()) == (step % repeat == 0)
+        before = streams.observation.clone()
+        done = streams.step(torch.full((3,), 4))  # turn left
+        seen.append(before)
+        if bool(done.where.any()):
+            ended += 1
+            assert bool(done.where.all()) and done.duration.tolist() == [repeat] * 3
+            assert torch.equal(done.observation, seen[(ended - 1) * repeat]), "where it was chosen"
+            assert torch.equal(done.next_observation, streams.observation)
+            assert done.reward.tolist() == [-repeat] * 3
+            assert done.discounted_reward.tolist() == pytest.approx([-sum(0.9**n for n in range(repeat))] * 3)
+    assert ended == 2 and streams.primitives == 6 * repeat and len(streams.corners) == 2 * repeat
+
+
+def test_an_action_that_is_given_between_decisions_changes_nothing(rooms: Any):
+    streams, courses = RepeatedStreams(rooms, 3, 0.9), []
+    for between in (0, 5):
+        streams.reset(0)
+        for action in (4, between, between):
+            streams.step(torch.full((3,), action))
+        courses.append(streams.observation.clone())
+    assert torch.equal(*courses)
+
+
+def test_a_decision_ends_with_its_episode_and_the_next_one_begins_anew():
+    config = dataclasses.replace(get_preset("paper-two-button"), horizon=5)
+    env: Any = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=2, config=config, observation="features",
+                                  output="torch")
+    env.reset(seed=0)
+    streams = RepeatedStreams(env, 4, 0.9)
+    streams.reset(0)
+    durations = []
+    for _ in range(12):
+        done = streams.step(torch.zeros(2, dtype=torch.int64))
+        durations += done.duration[done.where].tolist()[:1]
+    assert durations == [4, 1, 4, 1], "five primitives an episode, and a reset between them"
+    state = streams.state_dict()
+    after = [streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1]
+    streams.reset(7)
+    streams.load_state_dict(state)
+    assert torch.equal([streams.step(torch.full((2,), 4)).next_observation for _ in range(3)][-1], after)
 
 
 def test_advantages_as_they_are_make_the_loss_their_mean():
