@@ -1,6 +1,6 @@
 """Studies of this project: `python -m studies` lists them, `python -m studies NAME` runs one and prints its tables.
 
-NAME is that of a study, or the path of a folder that holds one. Killed, the same command goes on.
+NAME is a study, or the path of its folder. After an interruption the same command resumes.
 `python -m studies pages` writes the result pages from the committed raw data, or the pages that it is given.
 """
 

@@ -61,7 +61,7 @@ class Contrast(NamedTuple):
         low: lower end of its interval, which leaves out 0 where the test shows a difference.
         high: upper end.
         p: two-sided, corrected over the family.
-        equal: rooms in which all runs of both are equal, first escape and efficiency, and some run escapes.
+        equal: rooms where all runs of both are equal, first escape and efficiency, and some run escapes.
     """
 
     agent: str
@@ -117,7 +117,7 @@ def group(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], dict[int, Basel
 
 
 def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> dict[str, tuple[str, int]]:
-    """Rooms in which every run equals that in an earlier room: one task under two names.
+    """Rooms where every run equals the run in an earlier room: one task under two names.
 
     Returns:
         Room -> the earlier room, and how many runs of at least two agents agree.

@@ -68,7 +68,7 @@ def make_figure(theme: Theme, draw: Callable[[Any], None], height: float = 3.7, 
 
 
 def write_label(axes: Axes, x: float, y: float, text: str, colour: str, **how: Any) -> None:
-    """Write the label of a line beside it, in its colour."""
+    """Write the label of a line next to it, in its colour."""
     axes.text(x, y, text, color=colour, fontweight="bold", va="center", **how)
 
 

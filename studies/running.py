@@ -77,7 +77,7 @@ def make_missing(jobs: Iterable[Job], run: Callable[[Job], Line], store: Store, 
         if job.place in known:
             continue
         if time.monotonic() > end:
-            Console(stderr=True, highlight=False).print("time is up: the same command goes on")
+            Console(stderr=True, highlight=False).print("time is up: the same command resumes")
             return
         store.add([run(job)])
 
@@ -120,7 +120,7 @@ def analyse(study: Study, lines: list[Any]) -> Findings:
 def measure_grids(study: Study, args: GridArgs, store: Store) -> None:
     """Run the grids of a study one after another, and keep the lines of each.
 
-    References, of which only evaluations count, are run apart and train for `NO_TRAINING`.
+    References, where only evaluations count, are run apart and train for `NO_TRAINING`.
     """
     changes: dict[str, Any] = {name: value for name in ("runs", "primitives")
                                if (value := getattr(args, name)) is not None}
@@ -145,7 +145,7 @@ def _collect(comparison: Comparison) -> list[Line]:
 
 
 def refuse_failures(*comparisons: Comparison) -> None:
-    """Refuse comparisons in which runs failed, because a study tells of all of them.
+    """Refuse comparisons with failed runs, because a study reports all runs.
 
     Raises:
         ComparisonError: runs failed; names the first and its error.

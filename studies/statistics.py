@@ -25,7 +25,7 @@ MOST_SIGNS = 14
 
 
 def compute_median_interval(values: ArrayLike, level: float = 0.95) -> tuple[float, float, float]:
-    """Median with its interval from order statistics, whatever the distribution; of ten numbers the second and ninth.
+    """Median with its interval from order statistics, for any distribution; of ten numbers the second and ninth.
 
     Args:
         values: (n,); infinite where an event did not come.
@@ -55,7 +55,7 @@ def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: floa
 
 
 def compute_survival(times: ArrayLike, observed: ArrayLike) -> tuple[Floats, Floats]:
-    """Kaplan-Meier curve: the share for which an event has not come.
+    """Kaplan-Meier curve: the share without an event.
 
     Args:
         times: (n,) of the event, or until which it was waited for.
@@ -79,7 +79,7 @@ def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"])
 
     Args:
         differences: (n,) between runs that could change places if nothing were to be found.
-        side: of 0 on which the mean is looked for.
+        side: of 0, where the mean is looked for.
     """
     values = np.asarray(differences, dtype=np.float64)
     sums = _list_signs(len(values)) @ (values if side == "above" else -values)
@@ -87,7 +87,7 @@ def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"])
 
 
 def list_subset_means(values: ArrayLike) -> Floats:
-    """Means of all subsets but the empty one, ascending; of more than 14 numbers those of drawn subsets.
+    """Means of all subsets but the empty one, ascending; of more than 14 numbers, of drawn subsets.
 
     Differences that are symmetric about their centre put it between any two neighbours with equal probability (the
     typical values of Hartigan 1969), so that these means hold every interval of the centre, and their share below a
@@ -97,7 +97,7 @@ def list_subset_means(values: ArrayLike) -> Floats:
         values: (n,).
 
     Returns:
-        An array that cannot be written to: those of the last values asked about are kept.
+        A read-only array; arrays of recent values are cached.
     """
     return _list_subset_means(tuple(np.asarray(values, dtype=np.float64).tolist()))
 
@@ -130,7 +130,7 @@ def cut_signs(values: ArrayLike, level: float) -> tuple[float, float]:
 
 @lru_cache(maxsize=8)
 def _list_signs(count: int) -> Floats:
-    """All signs of so many numbers, (2^count, count), or drawn ones of many; those of the first row are plus."""
+    """All signs of so many numbers, (2^count, count), or drawn ones of many; the first row is all plus."""
     if count <= MOST_SIGNS:
         return 1.0 - 2.0 * (np.arange(2**count)[:, np.newaxis] >> np.arange(count) & 1)
     signs = np.random.default_rng(2019).choice([-1.0, 1.0], size=(2**MOST_SIGNS, count))
@@ -203,7 +203,7 @@ def find_lasting(curve: Iterable[tuple[int, float]], least: float) -> int | None
 
 
 def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:
-    """Adjust p-values so that of the answers below 0.05, 5 % are wrong at most on average (Benjamini, Hochberg)."""
+    """Adjust p-values for the false discovery rate (Benjamini, Hochberg)."""
     adjusted, least = [0.0] * len(p), 1.0
     for rank, index in reversed(list(enumerate(sorted(range(len(p)), key=lambda index: p[index]), start=1))):
         least = min(least, p[index] * len(p) / rank)
@@ -234,7 +234,7 @@ def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[flo
     """Confidence of intervals for a family of comparisons, so that each leaves out 0 just where Holm's test does.
 
     The k-th smallest p of n is held against alpha / (n - k + 1) until one is above that; this one's share of alpha is
-    that of all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected by
+    used for all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected by
     `correct_by_holm` is below alpha.
     """
     levels, share, goes_on = [0.0] * len(p), alpha, True

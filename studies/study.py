@@ -40,7 +40,7 @@ class Findings(NamedTuple):
 
     Attributes:
         numbers: fields of pages, which their rules read too.
-        tables: name -> Markdown; the names differ from those of other studies of a page.
+        tables: name -> Markdown; names are unique among the studies of a page.
         figures: name -> function that draws it for a theme.
     """
 
@@ -63,7 +63,7 @@ class Study:
 
     @property
     def name(self) -> str:
-        """The folder's, with hyphens; that of the command."""
+        """The folder's with hyphens, as in the command."""
         return _name(self.folder)
 
     @property

@@ -30,7 +30,7 @@ PROTOCOL = "per-instance"
 
 
 def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
-    """Comparisons with the best search baseline and with smaller budgets; references are those of the ladder study."""
+    """Comparisons with the best search baseline and with smaller budgets; references are from the ladder study."""
     rungs = [rung for rung in study.data["rungs"] if any(line.rung == rung for line in lines)]
     known = [line for line in open_store(find_study("ladder"), None).load() if isinstance(line, BaselineRun)
              and line.protocol == PROTOCOL and line.rung in rungs and line.primitives < get_budget(line.rung)

@@ -47,7 +47,7 @@ class Args(StudyArgs):
     agents: tuple[str, ...] = ()
     """Agents to run; all by default."""
     runs: int | None = None
-    """Runs of each agent with each number of buttons; those of `study.toml` by default."""
+    """Runs of each agent with each number of buttons; from `study.toml` by default."""
     workers: int = 1
     """Runs at a time."""
     first_seed: int = 0
@@ -171,7 +171,7 @@ class Size(NamedTuple):
 
 
 def find_reach(sizes: Mapping[int, Size]) -> int:
-    """Most buttons with which at least half of the runs escape; 0 for none."""
+    """Most buttons where at least half of the runs escape; 0 for none."""
     return max((size for size, own in sizes.items() if 2 * own.escaped >= own.made), default=0)
 
 

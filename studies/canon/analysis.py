@@ -39,7 +39,7 @@ __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "analy
 FLAT_FAMILIES = ("planned presses", "structure learned over presses", "task hierarchies, planned low level")
 HIERARCHIES = ("options learned over presses", "goals over presses")
 REFERENCE_EPISODES = 20
-"""Episodes of agents that do not learn, some of which are random."""
+"""Episodes of agents that do not learn; some are random."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,11 +55,11 @@ class Args(StudyArgs):
     kinds: tuple[str, ...] = ()
     """Rungs whose rooms are run, as ladder-1/pair; all by default."""
     rooms: int | None = None
-    """Rooms of each kind; those of `study.toml` by default."""
+    """Rooms of each kind; from `study.toml` by default."""
     agents: tuple[str, ...] = ()
     """Agents to run, by label; all by default."""
     minutes: float = math.inf
-    """Minutes after which no further run is begun."""
+    """Begin no run after so many minutes."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,7 +70,7 @@ class CanonRun:
         agent: label.
         candidate: which of its settings, from 1; 0 for agents without settings.
         room: of a rung, in short text, such as `ladder-1/pair/test#0`.
-        primitives: training budget; 0 for agents that learn nothing.
+        primitives: training budget; 0 for agents without training.
         efficiency: in the last fifth of training.
         escapes: share of the evaluation episodes there that escaped.
         progress: mean share of the facts on the way to the goal that hold.
@@ -179,9 +179,9 @@ def make_candidate(label: str, tried: Sequence[Mapping[str, Any]], number: int) 
 
 def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence[tuple[AgentSpec, int]], until: float
              ) -> Iterator[Comparison]:
-    """Make the runs of a room of which the store has no line, and keep their lines; yields what was made.
+    """Make the missing runs of a room and keep their lines; yields these.
 
-    Candidates of a learner run as agents of their own; the label of a line is that of the learner.
+    Candidates of a learner run as agents of their own; a line has the label of the learner.
     """
     data, there = study.data, {(line.agent, line.candidate, line.key) for line in store.load()}
     for learns, budget, step, episodes in ((False, NO_TRAINING, NO_TRAINING, REFERENCE_EPISODES),
@@ -323,7 +323,7 @@ class Standing:
         lines: all.
         families: in the order of the page.
         cells: runs in test rooms with the chosen settings.
-        kinds: rungs in which every agent was run that is followed; none while the first is not.
+        kinds: rungs where every followed agent was run; empty while the first rung lacks a run.
         lost: learners that are not followed; see `find_lost`.
     """
 
@@ -380,7 +380,7 @@ class Standing:
         return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
 
     def average(self, label: str) -> float:
-        """Mean efficiency of an agent over the kinds in which it can be run."""
+        """Mean efficiency of an agent over the kinds where it can be run."""
         own = [kind for kind in self.kinds if fits(self.study, label, kind)]
         return float(np.mean([average(self.cells[kind, label]) for kind in own]))
 
@@ -388,7 +388,7 @@ class Standing:
 def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
     """Comparisons with the search baseline and with flat controls, tables and figures.
 
-    Of the kinds of rooms in which every agent was run that is still followed.
+    Covers the kinds of rooms where every agent that is still followed was run.
 
     Raises:
         ComparisonError: the first kind lacks runs.
@@ -442,7 +442,7 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
 
 
 def name_learner(label: str) -> str:
-    """Display name of a learner; that of task hierarchies names their low level."""
+    """Display name of a learner, with the low level of task hierarchies."""
     return AgentSpec.parse(label).title
 
 

@@ -1,6 +1,6 @@
 """Screening design of the decay of SARSA and DDPG with meta-actions, between two recipes; `study.toml` has its factors.
 
-Designs are those of Plackett and Burman: up to 11 two-level factors in 12 rows, folded over into 24 (Plackett and
+Designs of Plackett and Burman have up to 11 two-level factors in 12 rows, folded over into 24 (Plackett and
 Burman 1946; Montgomery, Design and Analysis of Experiments, section 8.6). Main effects are then free of interactions of
 two factors (resolution IV), which are mixed with each other only. Any three factors take all eight combinations.
 """
@@ -133,5 +133,5 @@ def make_label(algorithm: str, levels: Sequence[int]) -> str:
 
 
 def read_levels(label: str) -> list[int]:
-    """Levels that an agent's label tells: -1 the paper's, 1 the corrected."""
+    """Levels in an agent's label: -1 the paper's, 1 the corrected."""
     return [1 if letter == "1" else -1 for letter in label.rpartition("-")[2]]

@@ -1,8 +1,8 @@
 """Main effects of a screening design, room by room and over rooms, which are a random factor.
 
 A block is one room with one training seed: it holds every row of the design, so that its effects are plain contrasts.
-Effects are averaged over the seeds of a room, and tested by Student's t over rooms, whose spread holds that of seeds
-and of how rooms differ: what is shown is claimed of rooms like these. With balanced blocks this is the test of a mixed
+Effects are averaged over the seeds of a room, and tested by Student's t over rooms, whose spread includes seeds and
+differences of rooms: effects are claimed for rooms like these. With balanced blocks this is the test of a mixed
 model with random effects of rooms (Montgomery, Design and Analysis of Experiments, section 13.3).
 """
 

@@ -63,7 +63,7 @@ def read_late(run: FlatRun) -> float:
 
 
 def find_untrained(lines: Sequence[FlatRun], learners: Mapping[str, FlatLearner]) -> dict[str, tuple[int, int]]:
-    """Label -> latest first escape and primitives before the first update, of those all of whose escapes come before.
+    """Latest first escape and primitives before the first update, of learners that escape before it in all runs.
 
     Args:
         lines: all runs.
@@ -119,7 +119,7 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Findings:
 
 
 def take_exponent(found: Difference | None, sign: int = 1) -> Difference | None:
-    """Ratio of which a difference is the logarithm; with a sign of -1 the inverse ratio."""
+    """Ratio with a difference as its logarithm; with a sign of -1 the inverse ratio."""
     if found is None:
         return None
     low, high = sorted((math.exp(sign * found.low), math.exp(sign * found.high)))

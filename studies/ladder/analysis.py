@@ -114,7 +114,7 @@ def compare_with_search(cells: Cells, rungs: Sequence[str]) -> dict[str, Beyond]
 
 
 def find_blank(cells: Cells, rungs: Sequence[str]) -> dict[str, list[str]]:
-    """Learners whose episodes after training equal those of random options, room by room, and the rungs."""
+    """Learners whose episodes after training equal episodes of random options, room by room, and the rungs."""
     def list_ends(rung: str, agent: str) -> dict[tuple[str, int], tuple[float, float]]:
         return {(run.rooms, run.seed): (run.efficiency, run.escapes) for run in cells.get((rung, agent), ())}
 
@@ -166,7 +166,7 @@ def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
 
 
 def group_runs(lines: Sequence[BaselineRun]) -> Cells:
-    """Runs by rung and agent, of several budgets those of the largest; agents in the order of the baselines."""
+    """Runs with the largest budget by rung and agent, in the order of the baselines."""
     cells: dict[tuple[str, str], list[BaselineRun]] = {}
     agents = _sort_agents(line.agent for line in lines)
     for line in sorted(lines, key=lambda line: agents.index(line.agent)):

@@ -56,7 +56,7 @@ class BaselineArgs(GridArgs):
     protocol: tuple[Literal["per-instance", "generalise", "sequence"], ...] = ("per-instance", "generalise")
     """Protocols."""
     agents: tuple[str, ...] = ()
-    """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
+    """Agents, as for `hrl-escape ladder run`; the agents of the protocol by default."""
     rooms: int = 10
     """Test rooms of each rung."""
     runs: int = 10
@@ -72,8 +72,8 @@ class BaselineArgs(GridArgs):
 def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[BaselinePlace, Grid]]:
     """Yield places and grids; a grid of more agents and seeds holds the runs of the smaller ones before it.
 
-    An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. Those
-    that learn nothing have grids of their own, in which training is cut short.
+    An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. References
+    have grids of their own, where training is cut short.
 
     Raises:
         EscapeError: no such rung or agent.
@@ -121,6 +121,6 @@ def collect_lines(found: dict[BaselinePlace, Comparison]) -> list[BaselineRun]:
 
 
 def list_missing(found: dict[BaselinePlace, Comparison]) -> int:
-    """Number of runs for which there was no time."""
+    """Number of runs that are still to be made."""
     return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
                for comparison in found.values())

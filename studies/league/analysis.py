@@ -38,9 +38,9 @@ __all__ = ["LINES", "Attempt", "SearcherRun", "analyse", "choose_candidate", "ch
 
 FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
-"""The level that the first escape stands for, among efficiencies."""
+"""Level of the first escape, among efficiencies."""
 Course: TypeAlias = Literal["whole", "first escape", "none", "later"]
-"""Extent to which a learner is followed with some number of buttons."""
+"""Course of a learner with some number of buttons."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,7 @@ class SearcherRun:
     """First escape of the search baseline.
 
     Attributes:
-        searcher: name.
+        searcher: name of the search baseline.
         buttons: of the room.
         seed: chooses the room.
         escaped_at: primitives at its end; None if it took more than the league's budget.
@@ -72,13 +72,13 @@ LINES = (FlatRun, SearcherRun)
 
 
 def list_own(study: Study, lines: Sequence[Any], label: str, budget: int | None = None) -> list[FlatRun]:
-    """Runs of a learner with a budget, by default that of the league."""
+    """Runs of a learner with a budget, by default the budget of the league."""
     return [run for run in lines if isinstance(run, FlatRun) and run.agent == label
             and run.budget == (budget or study.data["budget"])]
 
 
 def find_longer(study: Study, cells: Cells) -> dict[str, int]:
-    """Learners that are run longer, and the fewest buttons with which less than half of their runs are efficient."""
+    """Learners that are run longer, and the fewest buttons where less than half of their runs are efficient."""
     data, level = study.data, study.data["efficient"][-1]
     short = {label: [size for size in data["sizes"] if len(runs := cells.get((label, size), ())) >= data["runs"]
                      and 2 * count_arrived(runs, level) < len(runs)] for label in data["longer"]["agents"]}
@@ -120,7 +120,7 @@ def find_source(study: Study, learner: FlatLearner) -> str | None:
                  and (contestant.agent, contestant.settings) == (learner.agent, learner.settings)), None)
 
 
-# --- what a run tells ------------------------------------------------------------------------
+# --- runs as attempts ------------------------------------------------------------------------
 
 
 class Attempt(NamedTuple):
@@ -133,8 +133,8 @@ class Attempt(NamedTuple):
         fewest: primitives of the best known escape.
         spent: primitives that it trained for.
         waits: level -> primitives until it was reached, and True; what was spent without it, and False; `ESCAPE` is
-            the first escape, other levels are efficiencies at two evaluations in a row. Levels that the line does not
-            tell are missing.
+            the first escape, other levels are efficiencies at two evaluations in a row. Levels that the line lacks
+            are missing.
     """
 
     agent: str
@@ -167,7 +167,7 @@ def read_price(run: PriceRun, label: str, levels: Sequence[float]) -> Attempt:
 
 
 def choose_course(data: Mapping[str, Any], own: Sequence[Attempt], size: int) -> Course:
-    """Extent to which a learner is followed, by its runs with the next smaller number of buttons.
+    """Choose the course of a learner by its runs with the next smaller number of buttons.
 
     Who never escaped there is not run; who never reached the lower efficiency is followed to its first escape; while
     runs are missing there, nothing is begun.
@@ -187,7 +187,7 @@ def choose_course(data: Mapping[str, Any], own: Sequence[Attempt], size: int) ->
 
 
 def is_followed(runs: Sequence[Attempt], level: float, budget: int) -> bool:
-    """True if `LEAST_RUNS` runs or more tell of a level, and none ended short of the budget without it."""
+    """True if `LEAST_RUNS` runs or more have a level, and none ended short of the budget without it."""
     waits = [run.waits[level] for run in runs if level in run.waits]
     return len(waits) >= LEAST_RUNS and all(arrived or spent >= budget for spent, arrived in waits)
 
@@ -223,7 +223,7 @@ def compare(runs: Sequence[Attempt], others: Mapping[tuple[int, int], tuple[floa
 
 
 def gather(study: Study, lines: Sequence[Any]) -> dict[tuple[str, int], list[Attempt]]:
-    """All runs by learner and number of buttons; those of learners whose trials are missing are left out."""
+    """All runs by learner and number of buttons, without learners whose trials are missing."""
     data, cells, price = study.data, {}, open_store(find_study("price"), None).load()
     for table in data["learners"]:
         label = table["label"]

@@ -58,7 +58,7 @@ class DialPlace(NamedTuple):
     """Place of an option on the dial.
 
     Attributes:
-        failure: probability of failing at which a planned option is worth as much, in [0, 1]: 0 for one that is worth
+        failure: probability of failing of a planned option of the same worth, in [0, 1]: 0 for one that is worth
             no less than the planned one.
         low: lower end of its interval.
         high: upper end.
@@ -77,7 +77,7 @@ def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int 
         curve: probability of failing -> what calls of the planned option are worth, of as many calls as there are. It
             is made monotone, and linear between its points.
         worth: what the learned option is worth, one number a run.
-        seed: fixes the draws of the interval, which is that of the mean over runs; the curve counts as known.
+        seed: fixes the draws of the interval of the mean over runs; the curve counts as known.
         level: confidence of the interval; 1 - 0.05 / n where n options are compared, or the best of n is picked.
 
     Raises:

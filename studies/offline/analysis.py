@@ -59,7 +59,7 @@ class Args(StudyArgs):
 
 @dataclasses.dataclass(frozen=True)
 class OfflineResult:
-    """Efficiency of one learner of one data set in one room, or in rooms that the data does not hold.
+    """Efficiency of one learner with one data set in one room, or in rooms that the data does not hold.
 
     Attributes:
         agent: with its settings; `behaviour` is the data itself, others without a data set are references.
@@ -98,7 +98,7 @@ def read_learner(text: str) -> tuple[str, dict[str, Any]]:
 
 
 def name_unseen(kind: str) -> str:
-    """`kind` of a result in unseen rooms; that of a searcher, without a data set, is `UNSEEN` alone."""
+    """`kind` of a result in unseen rooms; `UNSEEN` alone for a search baseline, which has no data set."""
     return f"{UNSEEN} {kind}".strip()
 
 
@@ -150,7 +150,7 @@ def run_once(agent: str, kind: str, rung: str, run: int, episodes: int) -> Offli
 
 
 def run_searcher(searcher: str, rung: str, run: int, episodes: int) -> OfflineResult:
-    """Play a searcher in the room of a run."""
+    """Play a search baseline in the room of a run."""
     recording = load_recording(find_recording(f"{rung}-play-v1"))
     recorder = StateRecorder(recording.rooms[run : run + 1].make_env(observation="features"))
     env = OptionsEnv(recorder, include_primitives=False)
@@ -165,7 +165,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     """Run what is missing: room by room, then seed by seed in unseen rooms.
 
     Raises:
-        ConfigError: the rooms would reach those that settings were chosen in; nothing is run.
+        ConfigError: the rooms would include rooms where settings were chosen; no run is made.
     """
     data, console = study.data, Console(stderr=True, highlight=False)
     runs, tuned = args.runs or data["runs"], data["tuned_rooms"][0]
@@ -214,7 +214,7 @@ def reads_decisions(agent: str) -> bool:
 
 
 def analyse(study: Study, lines: Sequence[OfflineResult]) -> Findings:
-    """Efficiency of each learner of each data set, in the rooms of the data and in others.
+    """Efficiency of each learner with each data set, in the rooms of the data and in others.
 
     Raises:
         ComparisonError: there are no runs.

@@ -72,7 +72,7 @@ class Reruns:
 
     @property
     def gap(self) -> float:
-        """Mean of the replication less that of the program."""
+        """Mean of the replication less the program's."""
         return float(np.mean(self.ours) - np.mean(self.rerun.shares))
 
 
@@ -188,7 +188,7 @@ def _get_algorithm(label: str) -> str:
 
 
 def _spread(ends: Mapping[str, float], least: float = 13) -> list[float]:
-    """Heights of labels beside the ends of lines, in ascending order and at least so far apart."""
+    """Heights of labels at the ends of lines, in ascending order and at least so far apart."""
     places: list[float] = []
     for end in sorted(ends.values()):
         places.append(max(end, places[-1] + least) if places else end)

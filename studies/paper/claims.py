@@ -1,7 +1,7 @@
 """The claims of Menashe and Stone (2019), section 6, each with the measurement that tests it; `study.toml` lists them.
 
-A claim is tested agent by agent on runs with the paper's recipe; beside it stand the same measurement with the
-default settings, and what the published program gave when it was rerun. Each criterion can come out either way, and all
+A claim is tested agent by agent on runs with the paper's recipe; the page compares it
+with default settings, and with a rerun of the published program. Each criterion can confirm or refute, and all
 claims and agents are one family of tests (Benjamini and Hochberg).
 """
 
@@ -71,7 +71,7 @@ OF_CHANCE = ("escapes", "escapes-early")
 
 @dataclass(frozen=True)
 class Criterion:
-    """Condition under which a measurement confirms or refutes a claim.
+    """Condition for a measurement to confirm or refute a claim.
 
     Attributes:
         side: where the claim holds.
@@ -92,11 +92,11 @@ class Criterion:
 
     @property
     def other_side(self) -> Side:
-        """Side on which the claim does not hold."""
+        """Side where the claim does not hold."""
         return "below" if self.side == "above" else "above"
 
     def test(self, found: Measurement) -> tuple[bool, float]:
-        """Direction in which the runs point, True for the claim, and its p-value.
+        """Direction of the runs, True for the claim, and its p-value.
 
         Where one level parts both directions, a truth right there could be missed on either side, so the p-value is
         two-sided. Between two levels neither direction is wrong, and it is one-sided.
@@ -116,7 +116,7 @@ class Claim:
         figure: grid of the measurement.
         agents: algorithms that the claim is about.
         measure: name in `MEASURES`.
-        holds: condition under which an estimate confirms the claim.
+        holds: condition for an estimate to confirm the claim.
         unit: `%`, or `points` for differences and slopes of a score in per cent.
         rerun: results of the published program when rerun.
     """
@@ -193,7 +193,7 @@ def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
 
 
 def choose_level(adjusted: Sequence[float]) -> float:
-    """Level of the intervals beside corrected p-values: 1 less the share of 5 % that is rejected, one at least."""
+    """Level of the intervals of corrected p-values: 1 less the share of 5 % that is rejected, one at least."""
     return 1 - ALPHA * max(1, sum(p < ALPHA for p in adjusted)) / len(adjusted)
 
 

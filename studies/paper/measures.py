@@ -115,7 +115,7 @@ def _draw_weights(count: int) -> Floats:
 
 
 def measure_share_of_runs(hits: Sequence[bool]) -> Measurement:
-    """Share of runs in which something happened, with the interval of Clopper and Pearson."""
+    """Share of runs where something happened, with the interval of Clopper and Pearson."""
     return Measurement(tuple(map(float, hits)))
 
 
@@ -130,7 +130,7 @@ def measure_slope(runs: Sequence[RawRun], training: bool, since: float) -> Measu
     Args:
         runs: of one agent.
         training: of training episodes, exploration included; otherwise of frozen weights.
-        since: share of the budget from which on it is measured.
+        since: share of the budget before the measurement begins.
     """
 
     def compute(run: RawRun) -> float:

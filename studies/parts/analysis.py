@@ -48,7 +48,7 @@ class Args(StudyArgs):
     """Options of the study."""
 
     minutes: float | None = None
-    """Begin no run after so long; the same command goes on."""
+    """Begin no run after so long; the same command resumes."""
     confirmation: bool = False
     """Run the fresh rooms and seeds, in place of the first ones."""
     cells: tuple[str, ...] = ()
@@ -83,7 +83,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         if job.place in runs or _is_given_up(job, runs.values(), data):
             continue
         if time.monotonic() > end:
-            console.print("time is up: the same command goes on")
+            console.print("time is up: the same command resumes")
             return
         runs[job.place] = run_job(job, data)
         store.add([runs[job.place]])
@@ -125,7 +125,7 @@ def list_jobs(data: Mapping[str, Any], slice_: str, design: str, cells: Sequence
 
 
 def run_job(job: PartsRun, data: Mapping[str, Any]) -> PartsRun:
-    """Make the run that a line without results stands for."""
+    """Make the run of a line without results."""
     cell = next(cell for cell in data["cells"] if cell["name"] == job.cell)
     config = make_config(data["room"], job.buttons, job.rule)
     if "reference" in cell:
@@ -192,9 +192,9 @@ class SizeRatio(NamedTuple):
     """Primitives to the first escape without a part over those with it, in rooms of one size.
 
     Attributes:
-        median: over the rooms from which one of the two escaped; infinite if without it most runs do not.
+        median: over the rooms where one of the two escaped; infinite if without it most runs do not.
         rooms: these rooms.
-        made: rooms in which both were run.
+        made: rooms where both were run.
     """
 
     median: float
@@ -203,7 +203,7 @@ class SizeRatio(NamedTuple):
 
 
 def compare_sizes(runs: Sequence[PartsRun], more: str, less: str, rule: str) -> dict[int, SizeRatio]:
-    """Compare two cells room by room, for each number of buttons with which both were run.
+    """Compare two cells room by room, for each number of buttons where both were run.
 
     A run that did not escape within the budget took longer than one that did; a run that was not made counts nowhere.
     """

@@ -19,7 +19,7 @@ __all__ = ["Answer", "Exchange", "Law", "PartsRun", "answer", "choose_slope", "f
 RESAMPLES = 2_000
 LEAST_SIZES = 3
 SURE = 0.95
-"""Share of resamples in which one law must fit better than the other to be told."""
+"""Share of resamples where one law must fit better than the other to be named."""
 Logs = dict[tuple[int, int], float]
 """Logarithm of a number by (buttons, seed)."""
 
@@ -35,7 +35,7 @@ class PartsRun:
         seed: of room and agent.
         failure: probability that a walk fails.
         first_escape: primitives at its end; None if none came within the budget.
-        near_best: primitives from which on the frozen policy needs no more than the fewest / 0.9, twice in a row; None
+        near_best: primitives after which the frozen policy needs no more than the fewest / 0.9, twice in a row; None
             if it did not, or was not waited for.
         design: hash of the registered files.
     """
@@ -74,12 +74,12 @@ class Answer(NamedTuple):
         more: cell that has it.
         less: cell that lacks it.
         rule: for violations.
-        rooms: in which one of the two escaped, or both.
+        rooms: where one of the two escaped, or both.
         factor: geometric mean of the restricted primitives without it over those with it, above 1 where it pays.
         low: lower end of its interval, at the level of Holm's correction.
         high: upper end.
         p: two-sided, by flipped signs, corrected.
-        slope: by how much it lowers the exponent, with its interval; None where too few sizes tell.
+        slope: by how much it lowers the exponent, with its interval; None with too few sizes.
     """
 
     part: str
@@ -100,7 +100,7 @@ class Answer(NamedTuple):
 
     @property
     def lowers_exponent(self) -> bool:
-        """The exponent is shown to be lower with the part."""
+        """The exponent is significantly lower with the part."""
         return self.slope is not None and self.slope[1] > 0
 
 
@@ -130,7 +130,7 @@ def answer(runs: Sequence[PartsRun], data: Mapping[str, Any]) -> list[Answer]:
 
 
 def _list_logs(runs: Sequence[PartsRun], cell: str, rule: str, data: Mapping[str, Any], failure: float = 0.0) -> Logs:
-    """Logarithms of restricted primitives of a cell in every room in which any cell was run; see `answer`."""
+    """Logarithms of restricted primitives of a cell in every room where any cell was run; see `answer`."""
     own = [run for run in runs if (run.cell, run.rule, run.failure) == (cell, rule, failure)]
     logs = {(run.buttons, run.seed): math.log(min(run.first_escape or data["budget"], data["budget"])) for run in own}
     rooms = {(run.buttons, run.seed) for run in runs if run.rule == rule}
@@ -142,7 +142,7 @@ def choose_slope(gains: Logs, with_it: Logs, without: Logs, limit: float, level:
                  ) -> tuple[float, float, float] | None:
     """Slope of the gain against the logarithm of the buttons, with its interval by resampled rooms.
 
-    Only sizes count in which half of the runs of both cells escape; None where these are fewer than `LEAST_SIZES`.
+    Only sizes count where half of the runs of both cells escape; None where these are fewer than `LEAST_SIZES`.
     """
     by_size: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for key in gains:
@@ -171,7 +171,7 @@ class Law(NamedTuple):
         low: lower end of its 95 % interval.
         high: upper end.
         constant: c.
-        power: share of resamples in which a power law fits better than an exponential.
+        power: share of resamples where a power law fits better than an exponential.
     """
 
     exponent: float
@@ -190,7 +190,7 @@ def fit_law(runs: Sequence[PartsRun]) -> Law | None:
     """Fit a cell's medians by least squares of logarithms, its runs resampled within each size.
 
     Returns:
-        None with fewer than `LEAST_SIZES` numbers of buttons with which half of the runs escape.
+        None with fewer than `LEAST_SIZES` numbers of buttons where half of the runs escape.
     """
     times = {size: np.array([run.first_escape or math.inf for run in runs if run.buttons == size], float)
              for size in sorted({run.buttons for run in runs})}
@@ -219,15 +219,15 @@ def _fit(x: NDArray[np.float64], rows: NDArray[np.float64]) -> tuple[NDArray[np.
 
 
 class Exchange(NamedTuple):
-    """Share of failing walks at which a better manager needs what a plain one needs whose walks never fail.
+    """Share of failing walks that makes a better manager need as much as a plain one whose walks never fail.
 
     Attributes:
         rule: for violations.
-        failure: the share; `nan` where too few rooms tell.
+        failure: the share; `nan` with too few rooms.
         low: lower end of its 95 % interval, by resampled rooms.
         high: upper end.
         most: largest share that was tried.
-        rooms: that tell.
+        rooms: that count.
     """
 
     rule: str
@@ -261,7 +261,7 @@ def find_exchange(runs: Sequence[PartsRun], data: Mapping[str, Any], rule: str) 
 
 
 def _find_crossing(gains: NDArray[np.float64], failures: Sequence[float]) -> float:
-    """Share at which gains, made falling, reach 0: 0 where there is none, 1 where it is beyond the largest."""
+    """Share where gains, made falling, reach 0: 0 where there is none, 1 where it is beyond the largest."""
     falling = np.minimum.accumulate(gains)
     if falling[0] <= 0:
         return 0.0

@@ -1,6 +1,6 @@
 """One learner with parts that can be bought alone: walks, memory and structure.
 
-Whatever its actions are, the learner values them linearly in bits, Q(s, a) = w[place, a] . (1, lights, failed), where
+The learner values all kinds of actions linearly in bits, Q(s, a) = w[place, a] . (1, lights, failed), where
 `failed` is there with memory alone. It begins at 0 and pays for every primitive, so what was tried less looks better.
 """
 
@@ -29,7 +29,7 @@ class Watched(gymnasium.Wrapper):
         state: the room's.
         touched: buttons whose touch began with the latest primitive, as bits.
         failed: lights -> buttons that did not light under them in this episode, both as bits.
-        structure: told of presses that worked; it outlives episodes.
+        structure: is given presses that worked, and outlives episodes.
     """
 
     def __init__(self, env: gymnasium.Env) -> None:
@@ -79,7 +79,7 @@ class Watched(gymnasium.Wrapper):
 
 
 class Structure:
-    """Learned model of which press enables which, from presses that worked alone.
+    """Learned dependencies between presses, from presses that worked alone.
 
     A button may need what was lit every time it lit. So it is known to light wherever all of that is lit.
     """
@@ -176,7 +176,7 @@ class WalkTables:
 
 
 def find_place(state: RoomState, cell: float, headings: int, steps: int) -> Place:
-    """Cell of the floor and heading, as the tables tell them apart.
+    """Cell of the floor and heading, as the tables distinguish them.
 
     Args:
         state: of the room.

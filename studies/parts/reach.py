@@ -28,7 +28,7 @@ STRUCTURED = (FULL, "options + structure", "learned walks + structure")
 
 
 class _Line(NamedTuple):
-    """Look of a cell: its label, where that stands in either figure, and dashes."""
+    """Look of a cell: its label, its place in either figure, and dashes."""
 
     label: str
     reach: tuple[float, float]

@@ -51,9 +51,9 @@ class LearnerSettings:
         epsilon: share of random actions.
         walk_epsilon: share of choices within learned walks that are committed primitives.
         cell: width of a cell of the floor, m.
-        headings: told apart over a full turn.
+        headings: distinguished over a full turn.
         commitment: mean number of primitives of a commitment.
-        longest: primitives after which a learned walk ends.
+        longest: most primitives of a learned walk.
     """
 
     gamma: float
@@ -73,7 +73,7 @@ class Outcome:
 
     Attributes:
         first_escape: primitives at its end; None if none came.
-        near_best: primitives after the first of two episodes in a row after which the frozen policy needs no more than
+        near_best: primitives after the first of two episodes in a row where the frozen policy needs no more than
             the fewest primitives / 0.9; None if it never does.
     """
 
@@ -222,7 +222,7 @@ def play_cell(cell: Cell, settings: LearnerSettings, room: RoomInstance, seed: i
         seed: of the agent.
         budget: primitives.
         fewest: primitives of the best known escape; None for no evaluations.
-        near_budget: primitives until which an escaped agent goes on to come near the best.
+        near_budget: primitives that an escaped agent may train for to come near the best.
     """
     player, first, near = _Player(cell, settings, room, seed), None, None
     spent = 0  # in evaluations, which do not count

@@ -1,4 +1,4 @@
-"""Rooms and learners of the price of flatness, as `study.toml` has them.
+"""Rooms and learners of the study `price`, read from `study.toml`.
 
 A replicate is a room of each size and a training seed, the same for all learners.
 """
@@ -62,7 +62,7 @@ class Contestant:
         settings: fields to change.
         streams: copies of the room that it learns in at once, compiled; 0 for one ordinary environment.
         replicates: the first so many of a series.
-        stage: runs of a later stage are begun when those of earlier ones are done.
+        stage: runs of a later stage begin when earlier stages are done.
     """
 
     label: str

@@ -2,8 +2,8 @@
 
 A run that did not get there within its budget cost more than it had spent. So the ratio of a flat run's cost to that of
 a run over options lies between two ends, which are one where both got there. Of these ratios the geometric mean is
-taken; its interval and its test are those of flipped signs, so that one leaves out 1 just where the other says so.
-Rooms in which the untrained options are already efficient are left out, because nothing is learned there.
+taken; its interval and its test are by flipped signs, so both agree on whether the ratio differs from 1.
+Rooms where untrained options are already efficient are left out.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Middle(NamedTuple):
     Attributes:
         knowledge: `measured` if the interval has both ends; `bound` if the upper one is infinite; `unknown` with fewer
             than `LEAST_RUNS` replicates, or if the lower one is 0.
-        factor: the geometric mean; of a bound, that of the lower ends.
+        factor: the geometric mean; of a bound, the mean of the lower ends.
         low: lower end of its interval, of 95 % by itself and of a corrected level once it is one of a family.
         high: its upper end.
         p: of a mean of 1, two-sided, by flipped signs; corrected likewise.
@@ -132,7 +132,7 @@ class Growth(NamedTuple):
     Attributes:
         smallest: buttons at the one end.
         largest: buttons at the other.
-        middle: over replicates, of the factor by which each button multiplies the ratio.
+        middle: over replicates, of the factor per button.
         logs: logarithm of that factor, by replicate.
     """
 
@@ -143,7 +143,7 @@ class Growth(NamedTuple):
 
 
 def compare_costs(flat: Sequence[PriceRun], options: Sequence[PriceRun], cost: RunCost) -> list[CostRatio]:
-    """Ratios of two learners' costs in all sizes of rooms in which both were run, the fewest buttons first."""
+    """Ratios of two learners' costs in all sizes of rooms where both were run, the fewest buttons first."""
     sizes = sorted({run.buttons for run in flat} & {run.buttons for run in options})
     budgets = {size: max(run.budget for run in flat if run.buttons == size) for size in sizes}
     ratios = []
@@ -161,7 +161,7 @@ def compare_costs(flat: Sequence[PriceRun], options: Sequence[PriceRun], cost: R
 
 
 def is_ready(run: PriceRun) -> bool:
-    """True if the untrained policy was efficient already: in such rooms chance over options is all it takes."""
+    """True if the untrained policy was efficient already: in such rooms random options are enough."""
     return run.efficient_at == 0
 
 
@@ -208,7 +208,7 @@ def measure_growth(ratios: Sequence[CostRatio]) -> Growth:
     """Growth of the factor with each button.
 
     It is measured from the smallest size to the largest one with a measured factor, along the line between the two in
-    each replicate; where that is one size, to the next one, of which then only a bound is known.
+    each replicate; where that is one size, to the next one, where then only a bound is known.
     """
     measured = [ratio for ratio in ratios if ratio.middle.knowledge == "measured"]
     ends = [measured[0], measured[-1]] if len(measured) > 1 else [

@@ -36,7 +36,7 @@ __all__ = ["PriceRun", "compute_run_key", "list_price_runs", "measure_price_runs
 
 
 _LEAST_COMPILED = 64
-"""Copies of a room from which on compiling its kernels, some 10 s, is worth it."""
+"""Fewest copies of a room whose kernels are compiled, which takes some 10 s."""
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class PriceRun:
         budget: primitives.
         primitives: trained for.
         first_escape: primitives at the end of the first training episode that escaped, in many streams at the end of
-            the segment in which it did; None if none did.
+            its segment; None if none did.
         efficient_at: primitives at the first of two efficient evaluations in a row; None without such a pair.
         efficiency: in the last evaluation.
         episodes: training episodes that ended.
-        escapes: those of them that escaped.
+        escapes: how many of them escaped.
         seconds: of processor time, of training and evaluations; planning included.
         key: hash of everything that decides the numbers.
         curve: (primitives, efficiency) of each evaluation; empty of runs made before curves were kept.
@@ -107,7 +107,7 @@ def measure_price_runs(store: Store, first: int, replicates: int, minutes: float
         store: of the lines.
         first: replicate.
         replicates: number of them.
-        minutes: after which no further run is begun; None for no limit.
+        minutes: time limit for beginning a run; None for no limit.
         contestants: all by default.
 
     Raises:
@@ -180,7 +180,7 @@ def _make_single(room: RoomInstance) -> Any:
 
 
 def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymnasium.Env) -> gymnasium.Env | VectorEnv:
-    """Environment in which a contestant learns; many streams have their kernels compiled, outside of its time."""
+    """Training environment of a contestant; kernels of many copies are compiled outside of its time."""
     if contestant.has_options:
         return OptionsEnv(single, include_primitives=False)
     if contestant.has_goals:
@@ -199,7 +199,7 @@ def _measure_efficiency(evaluation: Evaluation, fewest: int) -> float:
 
 
 def _count_episodes(result: TrainResult) -> tuple[int, int]:
-    """Training episodes that ended before the budget did, and those of them that escaped."""
+    """Training episodes that ended before the budget did, and how many of them escaped."""
     ended = [(segment.episodes, segment.successes or 0) for segment in result.segments] or [
         (1, bool(episode.success)) for episode in result.episodes if episode.end != "budget"]
     return sum(number for number, _ in ended), sum(int(escapes) for _, escapes in ended)

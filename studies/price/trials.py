@@ -1,6 +1,6 @@
 """Settings that were tried for the price of flatness, all of them, in rooms and with seeds that are not reported.
 
-The record is `trials.toml`, in the order in which they were tried.
+The record is `trials.toml`, in the order of the trials.
 """
 
 from __future__ import annotations

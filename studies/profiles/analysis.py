@@ -86,7 +86,7 @@ class Gain(NamedTuple):
 
     @property
     def is_shown(self) -> bool:
-        """True if the first agent is shown to be more efficient than the second."""
+        """True if the first agent is significantly more efficient than the second."""
         return self.p < ALPHA and self.value > 0
 
 
@@ -98,7 +98,7 @@ def compare_everyone(cells: Cells, axes: Sequence[AxisRecord], learners: Sequenc
         cells: efficiencies.
         axes: those to compare on.
         learners: names.
-        search: name under which `cells` has the best search baseline of each rung.
+        search: name of the best search baseline of each rung in `cells`.
 
     Returns:
         (axis, first agent, second agent) -> gain, both ways round between learners.
@@ -115,17 +115,17 @@ def compare_everyone(cells: Cells, axes: Sequence[AxisRecord], learners: Sequenc
 
 
 def find_leader(gains: Mapping[tuple[str, str, str], Gain], axis: str, learners: Sequence[str]) -> str | None:
-    """The learner that is shown to be more efficient than every other on an axis; None if there is none."""
+    """The learner that is significantly more efficient than every other on an axis, or None."""
     return next((first for first in learners if all(gains[axis, first, other].is_shown for other in learners
                                                     if other != first)), None)
 
 
 def find_falls(cells: Cells, axes: Sequence[AxisRecord], learners: Iterable[str]) -> set[tuple[str, str]]:
-    """(learner, axis) where efficiency is shown to fall over the rungs, and is nowhere shown to rise.
+    """(learner, axis) where efficiency falls significantly over the rungs, and rises significantly nowhere.
 
     A fall is a rank correlation of rung and efficiency (Kendall's tau, as in the trend test of Jonckheere) below 0, one
-    family of tests over all learners and axes (Holm). Rises are Welch's tests from each rung to the next; those of a
-    learner on an axis share Bonferroni's level.
+    family of tests over all learners and axes (Holm). Rises are Welch's tests from each rung to the next, which
+    share Bonferroni's level for a learner on an axis.
     """
     levels = {(learner, axis.name): [cells[learner, rung] for rung in axis.rungs]
               for learner, axis in itertools.product(learners, axes) if (learner, axis.rungs[0]) in cells}

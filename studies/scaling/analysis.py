@@ -58,7 +58,7 @@ class Args(GridArgs):
     minutes: float = 40.0
     """Begin no run after so long; an empty field of the table was not run."""
     parts: tuple[str, ...] = STUDY_PARTS
-    """Parts to run: bar, told (what the learner is given), agents."""
+    """Parts to run: bar, `told` (knowledge that the learner is given), agents."""
     agents: tuple[str, ...] = AGENTS
     """Agents of the part agents."""
 

@@ -17,7 +17,7 @@ from studies.statistics import compute_restricted_mean
 __all__ = ["FollowedRuns", "Pick", "count_spared", "follow_runs"]
 
 Pick = Callable[[ScalingRun], int | None]
-"""The primitives at which something came about in a run; None if it did not."""
+"""Primitives until an event in a run; None without it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class FollowedRuns:
 
     @property
     def median(self) -> float | None:
-        """Time at which the Kaplan-Meier curve falls to one half; None if it does not within the budget."""
+        """Time until the Kaplan-Meier curve falls to one half; None if it does not within the budget."""
         runs = zip(self.times, self.observed, strict=True)
         middle = sorted(time if seen else math.inf for time, seen in runs)[(len(self.times) - 1) // 2]
         return float(middle) if math.isfinite(middle) else None

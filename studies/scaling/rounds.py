@@ -50,7 +50,7 @@ BAR_RUNS: int = _DATA["bar"]["runs"]
 MAX_PARENTS: int = _DATA["max_parents"]
 NOISE = ", noise"
 NEAR_BEST = 0.95
-"""Score from which on a return counts as near the best known."""
+"""Least score of a return near the best known."""
 STUDY_PARTS = ("bar", "told", "agents")
 FRESH = 100
 """First seed of runs that are held against the published ones."""
@@ -110,7 +110,7 @@ def run_scaling(out: Path, runs: int, primitives: int, workers: int | None, minu
 
     Args:
         out: the folder of the runs.
-        runs: of each agent in each task; those of `BAR` have `BAR_RUNS`.
+        runs: of each agent in each task; tasks of `BAR` have `BAR_RUNS`.
         primitives: budget of a run.
         workers: runs at a time; None for one a core.
         minutes: begin no run after so long.
@@ -119,7 +119,7 @@ def run_scaling(out: Path, runs: int, primitives: int, workers: int | None, minu
         agents: of the part `agents`, of `AGENTS`; None for all.
 
     Returns:
-        All finished runs, also those of earlier calls.
+        All finished runs, also from earlier calls.
 
     Raises:
         ComparisonError: a run failed.

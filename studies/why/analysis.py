@@ -58,7 +58,7 @@ Found: TypeAlias = Mapping[tuple[Pair, str], Sequence[CostRatio]]
 
 
 def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], list[CostRatio]]:
-    """Ratios of all pairs and both costs, those of the questions corrected by family, by pair and cost."""
+    """Ratios by pair and cost; ratios of the questions are corrected by family."""
     own = {label: [run for run in runs if run.agent == label] for pair in list_pairs(study) for label in pair}
     found = {(pair, cost.key): compare_costs(own[pair.one], own[pair.other], cost)
              for pair in list_pairs(study) for cost in (ESCAPE, HALF)}
@@ -71,7 +71,7 @@ def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], li
 
 
 def count_alike(found: Found, pair: Pair, cost: str) -> tuple[int, int]:
-    """Rooms in which two learners pay as much to the primitive, and rooms in which both were run."""
+    """Numbers of rooms where two learners need equally many primitives, and where both were run."""
     logs = [ends for ratio in found[pair, cost] for ends in ratio.logs.values()]
     return sum(ends == (0.0, 0.0) for ends in logs), len(logs)
 
@@ -83,7 +83,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
              if isinstance(run, PriceRun) and run.buttons in data["sizes"]
              and run.agent in (data["flat"], data["whole"]) and run.replicate in replicates]
     if not lines or not price:
-        raise ComparisonError("this study needs its own runs and those of the study `price`")
+        raise ComparisonError("this study needs its own runs and the runs of the study `price`")
     found = compare(study, sorted([*lines, *price], key=lambda run: run.place))
 
     def read(one: str, other: str) -> dict[str, dict[int, Middle]]:
