@@ -72,8 +72,8 @@ class BaselineArgs(GridArgs):
 def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[BaselinePlace, Grid]]:
     """Yield places and grids; a grid of more agents and seeds holds the runs of the smaller ones before it.
 
-    An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. References
-    have grids of their own, where training is cut short.
+    An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells.
+    References have grids of their own, where training is cut short.
 
     Raises:
         EscapeError: no such rung or agent.
