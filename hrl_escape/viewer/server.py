@@ -296,6 +296,12 @@ class Server(viser.ViserServer):
             super().stop()
 
 
+NARROW_STYLE = """<style>@media (max-width: 40em) {
+  [style*="max-height: 60%"], [style*="width: 20em"] { width: 100% !important }
+}</style>"""
+"""Gives the panel the whole width of a phone, where viser leaves a third empty."""
+
+
 def open_server(host: str = HOST, port: int = PORT) -> Server:
     """Start serving an empty page. A host other than 127.0.0.1 admits other machines; port 0 selects a free port.
 
@@ -309,6 +315,7 @@ def open_server(host: str = HOST, port: int = PORT) -> Server:
                                 "brand_color": (47, 109, 181)}
     server.gui.configure_theme(**settings)
     server.gui.main_panel.dock_right()
+    server.gui.add_html(NARROW_STYLE)
     return server
 
 

@@ -15,9 +15,9 @@ from studies.running import open_store
 from studies.study import find_study
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
-HEADLINE = ("When a wrong press resets, only learned dependencies or a memory of earlier episodes escape beyond ten "
-            "buttons.")
-"""Stands in the README."""
+HEADLINE = ("When wrong presses reset all buttons, only agents with learned dependencies or memory across episodes escape "
+            "beyond ten buttons.")
+"""Finding of the README."""
 
 
 def test_every_page_of_results_but_the_index_is_published_by_the_studies():

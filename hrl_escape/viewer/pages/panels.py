@@ -15,7 +15,7 @@ from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
 WIDTH = 350
 """Width of the control panel's drawings, pixels."""
-_STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"
+_STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em 0.6em"
 
 
 class KnownEdges(NamedTuple):
