@@ -61,9 +61,10 @@ def make_moving_map(instance: RoomInstance, states: Sequence[RoomState], decisio
 def embed_moving_map(instance: RoomInstance, page: str, width: int = 480) -> str:
     """Make an HTML frame, at most `width` pixels wide, for the page that `make_moving_map` made for a room."""
     x_min, x_max, y_min, y_max = compute_extent(instance)
-    height = round(width * (y_max - y_min + 2 * _PAD) / (x_max - x_min + 2 * _PAD)) + _CONTROLS
-    return (f'<iframe class="moving-map" sandbox="allow-scripts" loading="lazy" title="{escape(instance.name)}" '
-            f'style="width:100%;max-width:{width}px;height:{height}px;border:0" srcdoc="{escape(page)}"></iframe>')
+    ratio = (y_max - y_min + 2 * _PAD) / (x_max - x_min + 2 * _PAD)
+    return (f'<div style="container-type:inline-size;max-width:{width}px"><iframe class="moving-map" '
+            f'sandbox="allow-scripts" loading="lazy" title="{escape(instance.name)}" style="width:100%;border:0;'
+            f'height:calc({100 * ratio:.2f}cqw + {_CONTROLS}px)" srcdoc="{escape(page)}"></iframe></div>')
 
 
 def describe_room(instance: RoomInstance) -> dict[str, Any]:
