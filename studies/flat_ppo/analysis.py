@@ -102,14 +102,12 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Findings:
     return Findings(SimpleNamespace(
         budget=lines[0].budget,
         corners={label: float(np.mean(list(map(read_corners, own)))) for label, own in runs.items()},
-        entropy=float(np.mean([run.entropy for run in runs[plain]])) / FULL,
         chance_escape=take_exponent(compare(lines, [chance], plain, read_escape).get(chance), -1),
         chance_corners=compare(lines, [chance], plain, read_corners).get(chance),
         remedy_corners=compare(lines, remedies, plain, read_corners),
         remedy_escapes={label: take_exponent(found) for label, found in
                         compare(lines, remedies, plain, read_escape).items()},
         untrained=find_untrained(lines, learners), late=late,
-        late_share={label: float(np.mean(list(map(read_late, own)))) for label, own in runs.items()},
         greedy={label: sum(run.efficiency > 0 for run in own) for label, own in runs.items()
                 if label not in data["chances"]}), {
             "flat_ppo": make_table(["learner", "label", "runs", "first escape, median", "never", "time in corners",

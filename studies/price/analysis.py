@@ -17,7 +17,7 @@ from matplotlib.ticker import FuncFormatter, NullLocator
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.names import join_words
 from studies.figures import Theme, make_figure, write_label
-from studies.price.contestants import BUTTON_COUNTS, CONTESTANTS, EFFICIENT, PAIRS
+from studies.price.contestants import BUTTON_COUNTS, CONTESTANTS, PAIRS
 from studies.price.ratios import COSTS, CostRatio, RunCost, compare_costs, correct_prices, measure_growth
 from studies.price.runs import PriceRun, measure_price_runs
 from studies.price.trials import load_trials, tabulate_settings
@@ -74,7 +74,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
                for size in BUTTON_COUNTS}
     ready = {ratio.buttons: (ratio.ready, ratio.ready + len(ratio.logs)) for ratio in prices["efficient"]}
     numbers = SimpleNamespace(
-        efficient_at=EFFICIENT, minutes=sum(run.seconds for run in runs) / 60, runs=len(runs),
+        minutes=sum(run.seconds for run in runs) / 60, runs=len(runs),
         trials=len(load_trials()),
         factors={key: {ratio.buttons: ratio.middle for ratio in own if not ratio.is_short}
                  for key, own in (prices | plain).items()},

@@ -15,8 +15,8 @@ from studies.running import open_store
 from studies.study import find_study
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
-HEADLINE = ("When wrong presses reset all buttons, only agents with learned dependencies or memory across episodes escape "
-            "beyond ten buttons.")
+HEADLINE = ("When wrong presses reset all buttons, only agents with learned dependencies or memory across episodes "
+            "escape beyond ten buttons.")
 """Finding of the README."""
 
 
