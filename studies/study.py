@@ -108,7 +108,7 @@ def list_studies() -> dict[str, Study]:
 
 
 def find_study(name: str) -> Study:
-    """A study by its name, or by the path of its folder.
+    """A study by its name, with hyphens or underscores, or by the path of its folder.
 
     Raises:
         UnknownNameError: neither; the message names the closest.
@@ -116,10 +116,10 @@ def find_study(name: str) -> Study:
     """
     if (Path(name) / DEFINITION).is_file():
         return _load(Path(name).resolve())
-    known = _list_folders()
-    if name not in known:
+    known, wanted = _list_folders(), name.replace("_", "-")
+    if wanted not in known:
         raise UnknownNameError("study", name, known)
-    return _load(known[name])
+    return _load(known[wanted])
 
 
 def _list_folders() -> dict[str, Path]:
