@@ -9,20 +9,28 @@ import multiprocessing
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import torch
 from rich.console import Console
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from studies.learned_options.answers import compare_to_flat, find_crossover, gather_cells
+from studies.learned_options.report import (
+    draw_curves,
+    draw_escapes,
+    tabulate_cells,
+    tabulate_gains,
+    tabulate_missing,
+    tabulate_rates,
+    tabulate_trials,
+)
 from studies.learned_options.runs import (
     OPEN,
     TRIAL,
     UNSEEN,
-    Learner,
     ScaleRun,
     choose_settings,
     list_jobs,
@@ -32,9 +40,8 @@ from studies.learned_options.runs import (
 from studies.running import StudyArgs
 from studies.store import Store
 from studies.study import Findings, Study
-from studies.tables import make_table
 
-__all__ = ["LINES", "Args", "analyse", "check_design", "compute_design", "measure"]
+__all__ = ["LINES", "Args", "analyse", "answer", "check_design", "compute_design", "measure"]
 
 LINES = (ScaleRun,)
 REGISTERED = ("study.toml", "questions.md")
@@ -146,7 +153,7 @@ def check_design(lines: Sequence[ScaleRun], design: str) -> None:
 
 
 def analyse(study: Study, lines: Sequence[ScaleRun]) -> Findings:
-    """Registered answers of both stages, and how many runs of each are missing.
+    """Registered answers of both stages, and the runs that are missing.
 
     Raises:
         ComparisonError: lines are of another design.
@@ -155,53 +162,51 @@ def analyse(study: Study, lines: Sequence[ScaleRun]) -> Findings:
     check_design(lines, design)
     learners, known = list_learners(data), {line.place for line in lines}
     counted = [job for job in list_jobs(data, design) if job.part != TRIAL]
-    stages = {budget: _answer(data, lines, learners, budget) for budget in data["budgets"]}
-    made = [job for job in counted if job.place in known]
-    numbers = SimpleNamespace(
-        data=data, design=design, runs=len(counted), made=len(made), missing=len(counted) - len(made), stages=stages,
-        first=stages[data["budgets"][0]], second=stages[data["budgets"][1]],
-        choices=choose_settings(line for line in lines if line.part == TRIAL))
+    made, least = sum(job.place in known for job in counted), data["least"]
+    choices = choose_settings(line for line in lines if line.part == TRIAL)
+    first, second = (answer(data, lines, budget) for budget in data["budgets"])
+    numbers = SimpleNamespace(data=data, design=design, runs=len(counted), made=made, missing=len(counted) - made,
+                              first=first, second=second, choices=choices)
     return Findings(numbers, {
-        "learned_options_missing": _tabulate_missing(data, counted, known),
-        "learned_options_rates": _tabulate_rates(learners, lines)})
+        "learned_options_first": tabulate_cells(first.sizes, learners, least),
+        "learned_options_second": tabulate_cells(second.sizes, learners, least),
+        "learned_options_unseen": tabulate_cells(first.unseen, learners, least),
+        "learned_options_gains": tabulate_gains(first.gains, learners),
+        "learned_options_second_gains": tabulate_gains(second.gains, learners),
+        "learned_options_missing": tabulate_missing(data, counted, known),
+        "learned_options_rates": tabulate_rates(learners, lines, data["left_out"]),
+        "learned_options_trials": tabulate_trials(lines, data, learners, choices)},
+        {"learned-options": partial(draw_curves, first.sizes, learners, least),
+         "learned-options-escapes": partial(draw_escapes, first.sizes, learners, least)})
 
 
-def _answer(data: Mapping[str, Any], lines: Sequence[ScaleRun], learners: Mapping[str, Learner], budget: int
-            ) -> SimpleNamespace:
-    """Answers of a stage."""
+def answer(data: Mapping[str, Any], lines: Sequence[ScaleRun], budget: int) -> SimpleNamespace:
+    """Answers of a stage.
+
+    Args:
+        data: of `study.toml`.
+        lines: all runs.
+        budget: of the stage.
+
+    Returns:
+        `sizes`, `fresh` and `unseen`: cells by number of buttons, in the first rooms, in fresh ones, and of the part
+        about unseen rooms. `gains` and `fresh_gains`: comparisons with the best flat learner. `crossover`: number of
+        buttons, or None.
+    """
+    learners = list_learners(data)
     budgets = {label: min(budget, learner.most or budget) for label, learner in learners.items()}
     flat, own = ([label for label, learner in learners.items() if learner.family == family
                   and learner.sees == "features"] for family in ("flat", "learned options"))
-    counts = sorted({block["buttons"] for block in data["blocks"]})
-    sizes = {name: {buttons: gather_cells(lines, ONE_ROOM, buttons, range(first, first + data["rooms"]), budgets)
-                    for buttons in counts} for name, first in data["slices"].items()}
+    rooms = {name: range(first, first + data["rooms"]) for name, first in data["slices"].items()}
+    counts = {part: sorted({block["buttons"] for block in data["blocks"] if block["part"] == part})
+              for part in (ONE_ROOM, UNSEEN)}
+    sizes = {name: {buttons: gather_cells(lines, ONE_ROOM, buttons, seeds, budgets) for buttons in counts[ONE_ROOM]}
+             for name, seeds in rooms.items()}
+    planned = {label for label, learner in learners.items() if learner.acts == "planned"}
+    unseen = {buttons: {**gather_cells(lines, UNSEEN, buttons, rooms["first"], budgets),
+                        **{label: runs for label, runs in sizes["first"][buttons].items() if label in planned}}
+              for buttons in counts[UNSEEN]}
     gains = {name: compare_to_flat(cells, flat, own, data["least"]) for name, cells in sizes.items()}
-    return SimpleNamespace(budget=budget, sizes=sizes["first"], fresh=sizes["confirmation"], gains=gains["first"],
-                           fresh_gains=gains["confirmation"], crossover=find_crossover(gains["first"]))
-
-
-def _tabulate_missing(data: Mapping[str, Any], jobs: Sequence[ScaleRun], known: set[tuple[Any, ...]]) -> str:
-    """Runs that are there, of those registered, by cell."""
-    counts: dict[tuple[Any, ...], list[int]] = {}
-    titles = {label: learner.title for label, learner in list_learners(data).items()}
-    for job in jobs:
-        is_fresh = job.seed >= data["slices"]["confirmation"]
-        cell = (titles[job.agent], job.part, job.buttons, job.rule, "confirmation" if is_fresh else "first")
-        own = counts.setdefault(cell, [0] * 4)
-        second = 2 * (job.budget == data["budgets"][1])
-        own[second] += job.place in known
-        own[second + 1] += 1
-    return make_table(["learner", "part", "buttons", "wrong press", "rooms", *(
-        f"{budget:,} primitives" for budget in data["budgets"])], [
-        [*cell, f"{first} of {all_first}", f"{second} of {all_second}" if all_second else "as before"]
-        for cell, (first, all_first, second, all_second) in counts.items()])
-
-
-def _tabulate_rates(learners: Mapping[str, Learner], lines: Sequence[ScaleRun]) -> str:
-    """Primitives a second of processor time, median over runs."""
-    rows = []
-    for label, learner in learners.items():
-        rates = [line.primitives / line.seconds for line in lines if line.agent == label and line.seconds]
-        rows.append([learner.title, f"`{label}`", learner.copies if learner.agent != "archive" else 1, len(rates),
-                     f"{np.median(rates):,.0f}" if rates else ""])
-    return make_table(["learner", "label", "copies of a room", "runs", "primitives a second"], rows)
+    return SimpleNamespace(budget=budget, sizes=sizes["first"], fresh=sizes["confirmation"], unseen=unseen,
+                           gains=gains["first"], fresh_gains=gains["confirmation"],
+                           crossover=find_crossover(gains["first"]))
