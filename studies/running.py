@@ -28,7 +28,7 @@ Job = TypeVar("Job", bound=Line)
 
 NO_TRAINING = 100
 """Training budget of references: only their evaluations count."""
-COUNTS = ("runs", "primitives", "minutes", "rooms", "replicates", "episodes")
+COUNTS = ("runs", "primitives", "minutes", "rooms", "replicates", "episodes", "workers", "budget")
 
 
 @dataclasses.dataclass(frozen=True)

@@ -9,7 +9,9 @@ import multiprocessing
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from statistics import median
 from types import SimpleNamespace
 from typing import Any
 
@@ -136,9 +138,15 @@ def _make(data: Mapping[str, Any], jobs: Sequence[ScaleRun], store: Store, args:
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
-                del running[future]
-                store.add([future.result()])
-                yield future.result()
+                job = running.pop(future)
+                try:
+                    line = future.result()
+                except BrokenProcessPool:
+                    raise ComparisonError(f"the process of a run was killed ({job.agent}, {job.buttons} buttons, room "
+                                          f"{job.seed}): the same command goes on, perhaps with fewer --workers"
+                                          ) from None
+                store.add([line])
+                yield line
 
 
 def check_design(lines: Sequence[ScaleRun], design: str) -> None:
@@ -165,8 +173,12 @@ def analyse(study: Study, lines: Sequence[ScaleRun]) -> Findings:
     made, least = sum(job.place in known for job in counted), data["least"]
     choices = choose_settings(line for line in lines if line.part == TRIAL)
     first, second = (answer(data, lines, budget) for budget in data["budgets"])
-    numbers = SimpleNamespace(data=data, design=design, runs=len(counted), made=made, missing=len(counted) - made,
-                              first=first, second=second, choices=choices)
+    tried = next((line.fewest for line in lines if line.part == TRIAL), math.nan)
+    fewest = {line.seed: line.fewest for line in lines
+              if line.part != TRIAL and line.buttons == data["trials"]["buttons"]}
+    numbers = SimpleNamespace(
+        data=data, design=design, runs=len(counted), made=made, first=first, second=second, choices=choices,
+        trial_fewest=tried, fewest=median(fewest.values()) if fewest else math.nan)
     return Findings(numbers, {
         "learned_options_first": tabulate_cells(first.sizes, learners, least),
         "learned_options_second": tabulate_cells(second.sizes, learners, least),

@@ -112,7 +112,7 @@ def compare_to_flat(sizes: Mapping[int, Cells], flat: Sequence[str], options: Se
         best, len(own), late[f"{buttons}, {label}"],
         estimate_ratio([one.first_escape for one, _ in own], [other.first_escape for _, other in own],
                        own[0][0].budget),
-        estimate_ratio(*([_wait(run) for run in column] for column in zip(*own, strict=True)), own[0][0].budget))
+        estimate_ratio([_wait(one) for one, _ in own], [_wait(other) for _, other in own], own[0][0].budget))
         for (buttons, label), (best, own) in pairs.items()}
 
 

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import gymnasium
 import torch
 
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.agents.training.train import train
@@ -65,7 +66,7 @@ class Learner:
     family: Literal["flat", "learned options", "reference"]
     menu: str = ""
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
-    copies: int = 256
+    copies: int = 64
     repeat: int = 1
     sees: str = "features"
     acts: Literal["primitives", "planned", "reused"] = "primitives"
@@ -210,10 +211,9 @@ def make_run(data: Mapping[str, Any], job: ScaleRun, choices: Mapping[str, int],
         _draw(watched, job.seed, job.budget)
     else:
         agent = make_agent(learner.agent, watched.observation_space, watched.action_space, job.seed, **settings)
-        spaces = gymnasium.Wrapper(single)  # `train` compares spaces, and evaluates nothing
+        spaces = gymnasium.Wrapper(single)  # compared with those of `watched`, and never run
         spaces.action_space = watched.action_space
-        train(agent, watched, primitives=job.budget, seed=job.seed, eval_env=spaces, eval_episodes=0, progress=False,
-              observed=False)
+        _train(agent, watched, spaces, job)
     seconds = time.process_time() - started
     single.close()
     episodes, escapes, worth = watched.totals.T.tolist()
@@ -234,9 +234,17 @@ def _learn_options(data: Mapping[str, Any], job: ScaleRun, choices: Mapping[str,
                        **data["menus"][learner.menu][choices[learner.label]], **learner.settings)
     with closing(gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms[0], observation=learner.sees,
                                 disable_env_checker=True)) as single:
-        train(agent, WatchedEnvs(envs, 1, job.budget, 1), primitives=job.budget, seed=job.seed,
-              eval_env=single, eval_episodes=0, progress=False, observed=False)
+        _train(agent, WatchedEnvs(envs, 1, job.budget, 1), single, job)
     return agent
+
+
+def _train(agent: Agent, envs: WatchedEnvs, single: gymnasium.Env, job: ScaleRun) -> None:
+    """Train for the budget of a job.
+
+    `train` begins all episodes again where an evaluation would be, even if there are none, so none comes before the end.
+    """
+    train(agent, envs, primitives=job.budget, seed=job.seed, eval_env=single, eval_every=job.budget, eval_episodes=0,
+          progress=False, observed=False)
 
 
 def _draw(envs: WatchedEnvs, seed: int, budget: int) -> None:

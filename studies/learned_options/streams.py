@@ -136,7 +136,7 @@ class OptionEnvs:
     @property
     def action_mask(self) -> Tensor:
         """Every option is legal everywhere, bool (environments, options)."""
-        return torch.ones((self.count, self.action_space.n), dtype=torch.bool, device=self.device)
+        return torch.ones((self.count, int(self.action_space.n)), dtype=torch.bool, device=self.device)
 
     @property
     def is_waiting(self) -> Tensor:

@@ -35,4 +35,5 @@ RULES: Rules = {
     "wait": is_open,
     "no-second-stage": is_second_missing,
     "no-transfer": is_unseen_missing,
+    "easy-trial": lambda numbers: numbers.learned_options.trial_fewest < numbers.learned_options.fewest,
 }

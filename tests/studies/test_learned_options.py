@@ -19,7 +19,7 @@ from studies.running import open_store
 from studies.study import Study, find_study
 
 STUDY = find_study("learned_options")
-REGISTERED = "da9e0f7ee03a9f1f"
+REGISTERED = "8a546d164f57e8ef"
 """Hash of `study.toml` and `questions.md`, fixed before the first counted run."""
 FLAT = {"ppo": 0.4, "ppo, repeats": 0.3, "ppo, novelty": 0.3, "dqn": 0.35, "dqn, novelty": 0.3}
 """Late efficiency of made-up flat learners."""
@@ -40,16 +40,21 @@ def shrink(folder: Path) -> Study:
 
 
 def make_lines(late: dict[str, float], rooms: int = 10) -> list[ScaleRun]:
-    """Made-up runs of the first stage with two buttons, in which a learner has its efficiency and some noise."""
-    rng, lines = np.random.default_rng(3), []
+    """Made-up runs of the first stage with two buttons, in which a learner has its efficiency and some noise.
+
+    Trials come before them.
+    """
+    rng, trials, lines = np.random.default_rng(3), [], []
     for job in list_jobs(STUDY.data, REGISTERED):
+        if job.part == TRIAL:
+            trials.append(dataclasses.replace(job, fewest=10))
         if (job.agent in late and job.part == "one room" and (job.buttons, job.budget) == (2, 300_000)
                 and job.seed < STUDY.data["slices"]["first"] + rooms):
             worth = max(late[job.agent] + 0.05 * rng.normal(), 0.0)
             lines.append(dataclasses.replace(
                 job, choice=0, first_escape=10_000, fewest=20, episodes=(10,) * 20, escapes=(10,) * 20,
                 efficiency=(10 * worth,) * 20, primitives=job.budget, seconds=1.0))
-    return lines
+    return trials + lines
 
 
 def number(late: dict[str, float], rooms: int = 10) -> SimpleNamespace:
@@ -86,15 +91,15 @@ def test_claims_break_when_the_runs_that_they_call_missing_are_made():
     text, figures = render_page(page, {"learned-options": analyse(STUDY, few)})
     assert "50 of 1,310 registered runs" in text and figures == ["learned-options", "learned-options-escapes"]
     more = {"no-verdict": make_lines({"dac": 0.8}),
-            "no-second-stage": [dataclasses.replace(few[0], budget=10_000_000)],
-            "no-transfer": [dataclasses.replace(few[0], agent="ppo, reused options", part="unseen rooms")]}
+            "no-second-stage": [dataclasses.replace(few[-1], budget=10_000_000)],
+            "no-transfer": [dataclasses.replace(few[-1], agent="ppo, reused options", part="unseen rooms")]}
     for rule, lines in more.items():
         with pytest.raises(UnsupportedClaimError, match=rule):
             render_page(page, {"learned-options": analyse(STUDY, [*few, *lines])})
 
 
 def test_a_room_is_learned_with_the_first_of_two_good_parts():
-    (run,) = make_lines({"dac": 0.0}, 1)
+    *_, run = make_lines({"dac": 0.0}, 1)
     worth = (0.0, 9.0, 0.0, *(6.0,) * 17)
     assert find_half(run) is None
     assert find_half(dataclasses.replace(run, efficiency=worth)) == 4 * 15_000
@@ -123,11 +128,18 @@ def test_every_kind_of_learner_makes_a_run_twice_alike(tmp_path: Path):
 
 
 @pytest.mark.nightly
+def test_episodes_reach_their_limit_whatever_the_part_of_the_budget(tmp_path: Path):
+    data = shrink(tmp_path / "small").data
+    run = make_run(data, ScaleRun("one room", "ppo", 4, "ignore", 3, 8_400, 0, ""), {}, "cpu")
+    assert sum(run.episodes) - sum(run.escapes) >= 4, "four copies of 2,100 primitives, at most 1,000 an episode"
+
+
+@pytest.mark.nightly
 def test_the_command_makes_trials_first_resumes_and_says_what_is_missing(tmp_path: Path,
                                                                          capsys: pytest.CaptureFixture[str]):
     folder = shrink(tmp_path / "small").folder
     command = [str(folder), "--agents", "ppo", "--buttons", "2", "--budget", "1000", "--rooms", "1"]
-    assert main([*command, "--minutes", "0.0001"]) != 0, "nothing was made in so little time"
+    assert main([*command, "--minutes", "1e-9"]) != 0, "nothing was made in so little time"
     assert main(command) == 0
     lines = [json.loads(row) for row in (folder / "raw.jsonl").read_text().splitlines()[1:]]
     assert [line["part"] for line in lines] == [TRIAL, TRIAL, "one room", "one room"]
