@@ -241,7 +241,7 @@ def _learn_options(data: Mapping[str, Any], job: ScaleRun, choices: Mapping[str,
 def _train(agent: Agent, envs: WatchedEnvs, single: gymnasium.Env, job: ScaleRun) -> None:
     """Train for the budget of a job.
 
-    `train` begins all episodes again where an evaluation would be, even if there are none, so none comes before the end.
+    `train` begins all episodes again where an evaluation would be, even if there is none. None is due before the end.
     """
     train(agent, envs, primitives=job.budget, seed=job.seed, eval_env=single, eval_every=job.budget, eval_episodes=0,
           progress=False, observed=False)
