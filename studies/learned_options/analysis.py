@@ -104,7 +104,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
 
 
 def _is_wanted(job: ScaleRun, args: Args, data: Mapping[str, Any]) -> bool:
-    """Whether options ask for a job; trials are made for the learners asked for."""
+    """True for a job that the options ask for; trials are made for the learners asked for."""
     if args.agents and job.agent not in args.agents and not (
             job.agent == data["reuse"]["agent"] and job.part == TRIAL
             and any(list_learners(data)[label].acts == "reused" for label in args.agents)):

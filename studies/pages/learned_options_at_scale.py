@@ -27,6 +27,13 @@ def is_unseen_missing(numbers: Any) -> bool:
                    for cells in stage.unseen.values() for label in ("dac, egocentric", "ppo, reused options"))
 
 
+def does_ppo_escape(numbers: Any) -> bool:
+    """In the first stage with two buttons, all runs of PPO escape, and none is half as efficient as the best known."""
+    study = numbers.learned_options
+    runs = study.first.sizes[2].get("ppo", {}).values()
+    return len(runs) >= study.data["rooms"] and all(run.first_escape is not None and run.late < 0.5 for run in runs)
+
+
 SHORT = ("ppo, planned options",)
 """Learners whose runs are the same in both stages."""
 
@@ -35,5 +42,6 @@ RULES: Rules = {
     "wait": is_open,
     "no-second-stage": is_second_missing,
     "no-transfer": is_unseen_missing,
+    "ppo-two-buttons": does_ppo_escape,
     "easy-trial": lambda numbers: numbers.learned_options.trial_fewest < numbers.learned_options.fewest,
 }
