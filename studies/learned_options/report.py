@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
+from hrl_escape.names import count_nouns
 from studies.crossover.analysis import Ratio
 from studies.figures import Theme, make_figure, write_key
 from studies.learned_options.answers import Cells, Gain
@@ -113,7 +115,11 @@ def draw_curves(sizes: Mapping[int, Cells], learners: Mapping[str, Learner], lea
                     ends = (np.arange(parts.shape[1]) + 1) / parts.shape[1] * runs[0].budget
                     seen = np.isfinite(parts).any(axis=0)
                     axes.plot(ends[seen], np.nanmean(parts[:, seen], axis=0), color=colour, linewidth=2)
-            axes.set(ylabel=f"{buttons} button{'s' * (buttons > 1)}", ylim=(0, 1), xscale="log")
+            if not axes.lines:
+                axes.text(0.5, 0.5, f"no cell with {least} rooms yet", transform=axes.transAxes, ha="center",
+                          color=theme.muted)
+            axes.set(ylabel=f"efficiency, {count_nouns(buttons, 'button')}", ylim=(0, 1))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         write_key(panels[0], [(learners[label].title, colour) for label, colour in
                               zip(SHOWN, theme.lines, strict=True)])
         panels[-1].set_xlabel("primitives of all copies")
