@@ -185,12 +185,14 @@ class CompareResult:
                               for kind in ("finding", "caution"))
         care = f"<details><summary>Read with care</summary><ul>{cautions}</ul></details>" if cautions else ""
         return (f"<p><b>{mark_labels(headline.text)}</b></p><ul>{findings}</ul>{make_svg(self.plot())}"
-                f"{self._make_table()}{care}")
+                f"{self._make_table()}<p>{escape(self.summary.describe_intervals())}</p>{care}")
 
     def _make_table(self) -> str:
         measure = self.summary.measure
         headings = ["agent", f"{measure.name} ({measure.interval})", "success rate", "primitives an episode",
                     "decisions", "first success"]
+        if self.summary.covers_unseen:
+            headings.insert(2, "in unseen rooms (mean, two-way 95 % interval)")
         looks = choose_styles([agent.spec for agent in self.summary.agents])
         rows = "".join(
             f'<tr><th style="text-align:left;color:{look.text}">{escape(agent.label)}</th>'
@@ -201,6 +203,7 @@ class CompareResult:
 
     def _list_values(self, agent: AgentSummary) -> list[str]:
         reports = self.summary.reports_success
-        return [self.summary.measure.describe(agent.primary), f"{agent.success.value:.0%}" if reports else "-",
+        unseen = [f"{agent.unseen:.2f}"] if self.summary.covers_unseen else []
+        return [self.summary.measure.describe(agent.primary), *unseen, f"{agent.success.value:.0%}" if reports else "-",
                 f"{agent.length.value:,.0f}", f"{agent.decisions:,.0f}",
                 format_first_escape(agent) if reports else "-"]

@@ -15,9 +15,8 @@ with a hash of its code. `cloudpickle` takes it to other processes, as Gymnasium
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
+import importlib
 import re
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from pkgutil import resolve_name
@@ -26,9 +25,9 @@ from typing import Any, Literal
 import gymnasium
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.training.env_description import compute_code_digest, compute_digest, describe_env
+from hrl_escape.agents.training.env_description import compute_code_digest, compute_digest, describe_env, load_file
 from hrl_escape.errors import EscapeError, GridError
-from hrl_escape.files import read_text, write_json
+from hrl_escape.files import write_json
 from hrl_escape.names import join_words
 from hrl_escape.settings import Settings
 
@@ -120,7 +119,7 @@ class EnvSpec(Settings):
         """
         if agent.low_level is not None or (agent.is_reference and not agent.is_frozen):
             what = "its hierarchy is made from a room" if agent.low_level else "it reads a room"
-            raise GridError(f"{agent.label} needs a room, because {what}: leave it out, or compare with room=")
+            raise GridError(f"{agent.label} needs a room, because {what}: leave it out, or give rooms in place of env")
         if agent.options.option_set != "press" or agent.options.memory:
             raise GridError(f"{agent.label} needs a room for its options: take {agent.name} and give the options of "
                             f"{self.name}")
@@ -208,7 +207,7 @@ def _find_part(text: str, role: str) -> Any:
     if not colon:
         raise GridError(f"{role} = {text} is not possible: give file.py:function or module:function")
     try:
-        module = _load_file(place) if place.endswith(".py") else importlib.import_module(place)
+        module = load_file(place) if place.endswith(".py") else importlib.import_module(place)
     except EscapeError:
         raise
     except Exception as error:  # the user's code can raise anything
@@ -217,19 +216,3 @@ def _find_part(text: str, role: str) -> Any:
         known = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
         raise GridError(f"{role} = {text}: {place} has no {name}; it has {join_words(known)}")
     return getattr(module, name)
-
-
-def _load_file(path: str) -> Any:
-    """Import a Python file, once a process."""
-    read_text(path, "Python file")
-    name = f"_hrl_escape_{Path(path).stem}_{compute_digest(str(Path(path).absolute()))}"
-    if name not in sys.modules:
-        spec = importlib.util.spec_from_file_location(name, path)
-        assert spec is not None and spec.loader is not None
-        sys.modules[name] = importlib.util.module_from_spec(spec)
-        try:
-            spec.loader.exec_module(sys.modules[name])
-        except BaseException:
-            del sys.modules[name]
-            raise
-    return sys.modules[name]

@@ -181,6 +181,21 @@ class Summary(Pictured):
         """True if every agent's episodes report their success."""
         return not any(math.isnan(agent.success.value) for agent in self.agents)
 
+    @property
+    def covers_unseen(self) -> bool:
+        """True if every agent has an interval for unseen rooms."""
+        return all(agent.unseen is not None for agent in self.agents)
+
+    def describe_intervals(self) -> str:
+        """Describe what the intervals cover: seeds alone, or rooms and seeds."""
+        if self.grid.env is not None:
+            return f"Intervals are over training seeds in {self.rooms[0].name} alone."
+        seeds = "over training seeds, with the rooms as they are"
+        if self.covers_unseen:
+            return ("Intervals for unseen rooms are two-way: they cover other rooms and other training seeds. All "
+                    f"other intervals, and the tests, are {seeds}.")
+        return f"Intervals and tests are {seeds}: they say nothing about other rooms."
+
     def get_pair(self, first: AgentSummary, second: AgentSummary) -> Pair:
         """Return the comparison of two agents."""
         places = {agent.label: number for number, agent in enumerate(self.agents)}

@@ -43,7 +43,6 @@ from hrl_escape.agents.registry import RANDOM_OPTIONS
 from hrl_escape.agents.spec import PARTS, AgentSpec
 from hrl_escape.benchmark.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.benchmark.cost import describe_cost
-from hrl_escape.benchmark.env_spec import EnvSpec
 from hrl_escape.benchmark.grid import Grid, load_grid
 from hrl_escape.benchmark.launching.clusters import RayLauncher, SlurmLauncher
 from hrl_escape.benchmark.launching.local import Launcher, LocalLauncher
@@ -52,6 +51,7 @@ from hrl_escape.benchmark.reporting.report import format_first_escape, list_env_
 from hrl_escape.benchmark.summary import Summary
 from hrl_escape.benchmark.verdict import SENTENCE_MARKS, write_verdict
 from hrl_escape.commands.agent_choice import VectorObservation
+from hrl_escape.commands.env_choice import EnvChoice
 from hrl_escape.commands.room_choice import refuse_rooms, split_assignment
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.names import join_words, make_console_text, make_file_name, tell_seconds
@@ -128,7 +128,7 @@ class LaunchArgs:
 
 
 @dataclasses.dataclass(frozen=True)
-class CompareArgs(LaunchArgs):
+class CompareArgs(LaunchArgs, EnvChoice):
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
@@ -140,10 +140,6 @@ class CompareArgs(LaunchArgs):
     """Training sets, such as ladder-1/lattice/train#0..64, clutter#0..16 or a .json file of a set."""
     test_rooms: tuple[str, ...] = ()
     """Test sets: one for all --train-rooms, or one for each."""
-    env: str | None = None
-    """Environment from elsewhere, in place of rooms: a Gymnasium id, or a function as file.py:function."""
-    options: str = ""
-    """Options in --env, as file.py:function: a function from the environment to its options."""
     reference: float | None = None
     """Return in --env to draw and to name for comparison."""
     runs: int | None = None
@@ -190,16 +186,13 @@ class CompareArgs(LaunchArgs):
             agents = changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
             if any(agent.reads_objects for agent in agents):
                 changes.setdefault("observation", "objects")
-        if self.env is not None:
+        if (env := self.make_env_spec(self.reference)) is not None:
             if self.room or self.train_rooms or self.test_rooms or self.observation:
                 raise UnsupportedError("--env does not go with --room, --train-rooms, --test-rooms and --observation")
-            changes |= {"rooms": (), "env": EnvSpec(self.env, self.options, reference=self.reference)}
+            changes |= {"rooms": (), "env": env}
             if not self.agents:
                 over_options = (RANDOM_OPTIONS, "smdp-dqn") if self.options else ()
                 changes["agents"] = tuple(map(AgentSpec.parse, ("random", "dqn", *over_options)))
-        elif self.options or self.reference is not None:
-            raise UnsupportedError("--options and --reference are for --env; the options of rooms are part of an "
-                                   "agent's spec, such as smdp-dqn+reactive")
         if self.room:
             changes["rooms"] = tuple(map(RoomSpec.parse, self.room))
         if self.train_rooms:
@@ -285,6 +278,7 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
                       f"{agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}", f"{agent.progress.value:.2f}",
                       f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}", format_first_escape(agent))
     console.print("", table, "")
+    console.print(summary.describe_intervals(), style="dim")
     for failure in comparison.failures:
         console.print(Text(f"failed: {failure.run.name}: {failure.message}", style="red"))
     console.print(f"Report: {(comparison.out / 'report.html').absolute().as_uri()}", markup=False)

@@ -81,7 +81,7 @@ def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: boo
     Args:
         command: words before the options.
         words: the options as given.
-        trains: the command takes `--seed` as its training seed, which needs `--room` or `--data`.
+        trains: the command takes `--seed` as its training seed, which needs `--room`, `--env` or `--data`.
 
     Raises:
         UnsupportedError: the message shows the new form with the given values.
@@ -90,7 +90,7 @@ def refuse_old_options(command: Sequence[str], words: Sequence[str], trains: boo
     if "--batch" in given:
         raise UnsupportedError(f"--batch is --num-envs now: write --num-envs {' '.join(given['--batch']) or 'N'}")
     old = [name for name in OLD_OPTIONS if name in given]
-    if "--seed" in given and (not trains or old or not {"--room", "--data"} & given.keys()):
+    if "--seed" in given and (not trains or old or not {"--room", "--env", "--data"} & given.keys()):
         old.append("--seed")
     if "--training-seed" in given:
         old.append("--training-seed")

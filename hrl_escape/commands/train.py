@@ -1,4 +1,4 @@
-"""Train an agent in a room or a set of rooms, with a log and checkpoints; a stopped run resumes.
+"""Train an agent in rooms or in another environment, with a log and checkpoints; a stopped run resumes.
 
     hrl-escape train smdp-dqn
     hrl-escape train smdp-r-max
@@ -13,6 +13,8 @@
     hrl-escape train hiro --room continuous-four-rooms --num-envs 256
     hrl-escape train text-agent --settings model=search-random reveal=names --primitives 2000
     hrl-escape train smdp-iql --data pair-play-v1
+    hrl-escape train dqn --env CartPole-v1 --primitives 50000
+    hrl-escape train smdp-dqn --env MiniGrid-DoorKey-8x8-v0 --options my_options.py:make
 
 `hrl-escape list agents parts` lists the agents and the parts of their specs. The prefix smdp- chooses among options,
 and +primitives adds the primitives. `hrl-escape list recommended` lists agents to begin with.
@@ -23,6 +25,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -44,6 +47,7 @@ from hrl_escape.benchmark.agent_env import find_starts, make_agent_env, make_pla
 from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.records import record_returns
 from hrl_escape.commands.agent_choice import AgentChoice
+from hrl_escape.commands.env_choice import EnvChoice
 from hrl_escape.commands.room_choice import RoomChoice, refuse_options
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
@@ -61,11 +65,12 @@ if TYPE_CHECKING:
 
 SHOWN_EVALUATIONS, PRIMITIVES = 12, 20_000
 OF_OPTIONS = ("option_set",)
+OF_ENVS = tuple(field.name for field in dataclasses.fields(EnvChoice))
 OF_ROOMS = (*(field.name for field in dataclasses.fields(RoomChoice)), "num_envs", "device", "compile", *OF_OPTIONS)
 
 
 @dataclasses.dataclass(frozen=True)
-class TrainArgs(AgentChoice, RoomChoice):
+class TrainArgs(AgentChoice, EnvChoice, RoomChoice):
     """Options of `hrl-escape train`."""
 
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
@@ -76,7 +81,8 @@ class TrainArgs(AgentChoice, RoomChoice):
     """Data set or recording for offline training; tests are in unseen rooms of its rung. See `hrl-escape list
     offline`."""
     seed: int = 0
-    """Training seed: fixes the agent and every training episode. Give --room too: --seed alone chose a room in 0.3."""
+    """Training seed: fixes the agent and every training episode. Give --room or --env too: --seed alone chose a room
+    in 0.3."""
     list_settings: bool = False
     """Print the agent's settings and exit."""
     eval_every: int | None = None
@@ -138,11 +144,18 @@ def run(args: TrainArgs) -> None:
         _print_settings(args, spec, resolved)
         return
     if args.data is not None:
-        refuse_options(args, OF_ROOMS, f"does not go with --data, whose rooms and options are those of {args.data}")
+        refuse_options(args, (*OF_ENVS, *OF_ROOMS), "does not go with --data, whose rooms and options are those of "
+                       f"{args.data}")
         if spec.options not in (OptionsView(), OptionsView(include_primitives=True)) or spec.low_level is not None:
             raise UnsupportedError(f"{spec.label} does not go with --data, whose rooms and options are those of "
                                    f"{args.data}: name {spec.name}")
         _train_offline(args, spec)
+        return
+    if (chosen := args.make_env_spec()) is not None:
+        refuse_options(args, (*OF_ROOMS, "observation"), f"does not go with --env: {args.env} has its own observations "
+                       "and actions, and --options are its options")
+        with closing(chosen.make_agent_env(spec)) as made:
+            _tell(args, spec, _train(args, spec, made, chosen.name), None)
         return
     if not spec.chooses_options:
         refuse_options(args, OF_OPTIONS, "is for agents that choose among options, such as "
@@ -153,8 +166,6 @@ def run(args: TrainArgs) -> None:
               f"{spec.algorithm}+learned give it one", file=sys.stderr)
     rooms = args.find_rooms()
     place = RunPlace.of_room(rooms).name if isinstance(rooms, RoomInstance) else rooms.name
-    name = make_file_name(f"{spec.label}-{place}-{args.seed}")
-    out = args.out or Path("runs") / f"{name}-{{key}}"
     recorder: StateRecorder | None = None
     player: Agent | None = None
     if args.num_envs is None:
@@ -164,10 +175,7 @@ def run(args: TrainArgs) -> None:
         player = make_player(spec, env, recorder) if spec.name == TEXT_AGENT else None
     else:
         env = args.make_batch(spec, rooms)
-    result = train(player or spec, env, primitives=PRIMITIVES if args.primitives is None else args.primitives,
-                   seed=args.seed, eval_every=args.eval_every,
-                   eval_episodes=args.eval_episodes, out=out, callbacks=[TensorBoard()] if args.tensorboard else [],
-                   threads=args.threads, observed=recorder is None, progress=False if args.quiet else None)
+    result = _train(args, player or spec, env, place, observed=recorder is None)
     if isinstance(env, gymnasium.Env) and recorder is not None and isinstance(rooms, RoomInstance):
         _record(env, recorder, result, f"{spec.label}, seed {args.seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
@@ -175,16 +183,23 @@ def run(args: TrainArgs) -> None:
     _tell(args, spec, result, best_known_return(rooms) if isinstance(rooms, RoomInstance) else None)
 
 
+def _train(args: TrainArgs, agent: AgentSpec | Agent, env: gymnasium.Env | VectorEnv | ManyEnvs | None, place: str,
+           **given: Any) -> TrainResult:
+    """Train in the run's folder, by default one named by agent, place and seed."""
+    primitives = PRIMITIVES if args.primitives is None and args.data is None else args.primitives
+    name = make_file_name(f"{args.make_spec(args.agent).label}-{place}-{args.seed}")
+    return train(agent, env, primitives=primitives, seed=args.seed, eval_every=args.eval_every,
+                 eval_episodes=args.eval_episodes, out=args.out or Path("runs") / f"{name}-{{key}}",
+                 callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads,
+                 progress=False if args.quiet else None, **given)
+
+
 def _train_offline(args: TrainArgs, spec: AgentSpec) -> None:
     """Train from a data set and print the curve."""
     from hrl_escape.data.materialise import load_data
 
     data = load_data(args.data or "", observation=args.choose_observation(spec))
-    out = args.out or Path("runs") / f"{make_file_name(f'{spec.label}-{data.name}-{args.seed}')}-{{key}}"
-    result = train(spec, data=data, primitives=args.primitives, seed=args.seed,
-                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out,
-                   callbacks=[TensorBoard()] if args.tensorboard else [], threads=args.threads,
-                   progress=False if args.quiet else None)
+    result = _train(args, spec, None, data.name, data=data)
     _tell(args, spec, result, data.recording.about["scores"].get("best_known"))
 
 

@@ -106,6 +106,8 @@ def test_without_a_known_optimum_agents_are_compared_by_their_returns(comparison
 def test_the_report_is_that_of_rooms_without_their_parts(comparison: Comparison, tmp_path: Path):
     write_report(comparison, "compare(...)", tmp_path)
     page = (tmp_path / "report.html").read_text()
+    said = "Intervals are over training seeds in make_walk alone."
+    assert said in page and said in (tmp_path / "summary.md").read_text() and "two-way" not in page
     assert 'id="replays"' not in page and 'id="rooms"' not in page and "Student" in page and page.count("<tr") > 6
     data = json.loads(re.search(r'id="data">(.*?)</script>', page, re.DOTALL)[1].replace("\\u003c", "<"))  # type: ignore[index]
     assert data["rooms"] == [] and len(data["agents"][0]["curve"]["return"]) == 3

@@ -81,7 +81,11 @@ def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(fi
     assert all(agent.seen is not None for agent in summary.agents if agent.spec.name == "random-options")
     rows = list(csv.DictReader((finished.out / "results.csv").open()))
     assert [bool(row["seen_efficiency"]) for row in rows] == [True, True, False]
-    assert "trained in</th>" in (finished.out / "report.html").read_text()
+    page = (finished.out / "report.html").read_text()
+    assert "trained in</th>" in page
+    said = "Intervals for unseen rooms are two-way: they cover other rooms and other training seeds."
+    oracle = summary.agents[-1].unseen
+    assert said in text and said in page and oracle is not None and f"{oracle:.3f}" in text and f"{oracle:.3f}" in page
 
 
 def test_a_finished_comparison_of_sets_is_kept_and_its_places_load_again(finished: Comparison):

@@ -6,11 +6,16 @@ import signal
 import subprocess
 import time
 
+import gymnasium
 import numpy as np
 import pytest
 
+from hrl_escape import OptionsEnv, train
+from hrl_escape.agents import load_agent, load_env
 from hrl_escape.agents.training.checkpoint import load_checkpoint
+from hrl_escape.agents.training.env_description import load_file
 from hrl_escape.commands.train import SHOWN_EVALUATIONS
+from hrl_escape.errors import TrustError
 from tests.command_line import PROGRAM, assert_refused, call, run_program
 
 
@@ -79,6 +84,52 @@ def test_an_agent_without_the_hierarchy_that_it_is_made_for_says_what_it_does(ca
                                   "maxq-q+planned and maxq-q+learned give it one\n")
     planned = ["train", "maxq-q+planned", *command[2:-1], tmp_path / "planned"]
     assert call(capsys, *planned)[2] == ""
+
+
+OPTIONS = """
+from hrl_escape.options import FunctionOption
+
+def make(env):
+    return [FunctionOption(name, lambda state, push=push: push, lambda state: 0.3)
+            for push, name in enumerate(("left", "right"))]
+"""
+
+
+def test_an_environment_from_elsewhere_is_trained_in_resumed_and_loaded(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.py").write_text(OPTIONS)
+    command = ["train", "smdp-q-learning", "--env", "CliffWalking-v1", "--options", "mine.py:make", "--seed", "3",
+               "--primitives", "300", "--eval-episodes", "0"]
+    code, out, _ = call(capsys, *command, "--json")
+    folder = json.loads(out)["folder"]
+    assert code == 0 and re.fullmatch(r"runs/smdp-q-learning-CliffWalking-v1-3-[0-9a-f]{8}", folder)
+    assert "this run was finished: nothing was trained" in call(capsys, *command)[1]
+    env = OptionsEnv(gymnasium.make("CliffWalking-v1"), load_file("mine.py").make, include_primitives=False)
+    alone = train("smdp-q-learning", env, seed=3, primitives=300, eval_episodes=0, progress=False)
+    assert alone.primitives == json.loads(out)["primitives"] and alone.decisions < alone.primitives
+    with pytest.raises(TrustError, match="mine.py:make"):
+        load_env(folder)
+    agent, again = load_agent(folder, trust=True), load_env(folder, trust=True)
+    state, mask = again.reset(seed=0)[0], np.ones(2, dtype=bool)
+    assert alone.agent is not None and agent.act_greedy(state, mask, np.random.default_rng(0)) == \
+        alone.agent.act_greedy(state, mask, np.random.default_rng(0)) and again.get_wrapper_attr("primitive_count") == 0
+    for shows in ("watch", "record"):
+        assert_refused(capsys, [shows, folder], "only rooms can be shown")
+    (tmp_path / "mine.py").write_text(OPTIONS.replace("0.3", "0.5"))
+    assert_refused(capsys, [*command, "--out", folder], "files.mine.py")
+
+
+@pytest.mark.parametrize(("words", "says"), [
+    (["dqn", "--env", "CartPole-v1", "--room", "clutter"], "--room does not go with --env"),
+    (["dqn", "--env", "CartPole-v1", "--num-envs", "4"], "--num-envs does not go with --env"),
+    (["smdp-dqn", "--env", "CartPole-v1"], "CartPole-v1 has none: give options="),
+    (["maxq-q+planned", "--env", "CartPole-v1"], "needs a room"),
+    (["dqn", "--options", "mine.py:make"], "--options is for --env"),
+    (["smdp-iql", "--data", "pair-play-v1", "--env", "CartPole-v1"], "--env does not go with --data"),
+    (["dqn", "--env", "nowhere.py:make"], "nowhere.py"),
+])
+def test_what_cannot_be_trained_in_an_environment_is_refused(capsys, words, says):
+    assert_refused(capsys, ["train", *words], says)
 
 
 def test_names_that_cannot_be_trained_are_told_what_to_do_instead(capsys):

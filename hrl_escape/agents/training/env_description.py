@@ -19,11 +19,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+import importlib.util
 import inspect
 import json
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import entry_points
+from pathlib import Path
 from pkgutil import resolve_name
+from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
@@ -38,6 +42,7 @@ from hrl_escape.agents.registry import join_name
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import AgentSettingsError, CheckpointError, TrustError, UnsupportedError, describe_damage
+from hrl_escape.files import read_text
 from hrl_escape.settings import Settings
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo, RenderCollection)
@@ -320,7 +325,10 @@ def load_part(name: Any, trust: bool) -> Any:
     load = find_part(name)
     if load is None and not trust:
         raise TrustError([name])
-    return resolve_name(name) if load is None else load()
+    if load is not None:
+        return load()
+    place, _, part = str(name).rpartition(":")
+    return getattr(load_file(place), part) if place.endswith(".py") else resolve_name(name)
 
 
 def _make_env(description: Mapping[str, Any], trust: bool,
@@ -461,6 +469,37 @@ def _revive(value: Any, trust: bool) -> Any:
 def name_part(part: Any) -> str:
     """Return the name of a class or function in descriptions, `module:name`."""
     return f"{part.__module__}:{part.__qualname__}"
+
+
+def load_file(path: str) -> ModuleType:
+    """Import a Python file, once a process, as the module with the name of its path.
+
+    Descriptions then name a function of the file as `path:function`. The path is relative to the working folder.
+
+    Raises:
+        FileReadError: there is no such file.
+        Exception: of the file's code.
+    """
+    read_text(path, "Python file")
+    place = str(Path(path).absolute())
+    module = sys.modules.get(path)
+    if module is None or module.__file__ != place:
+        spec = importlib.util.spec_from_file_location(path, place)
+        assert spec is not None and spec.loader is not None
+        module = sys.modules[path] = importlib.util.module_from_spec(spec)
+        try:
+            spec.loader.exec_module(module)
+        except BaseException:
+            del sys.modules[path]
+            raise
+    return module
+
+
+def hash_files(description: Mapping[str, Any]) -> dict[str, str]:
+    """Return a hash of each Python file that a description names, by its path."""
+    modules = {str(name).rpartition(":")[0] for name in _list_names(description)}
+    return {path: hashlib.sha256(read_text(path, "Python file").encode()).hexdigest()[:8]
+            for path in sorted(modules) if path.endswith(".py")}
 
 
 def find_part(name: Any) -> Callable[[], Any] | None:

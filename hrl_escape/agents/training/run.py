@@ -26,7 +26,7 @@ from hrl_escape.agents.registry import split_name
 from hrl_escape.agents.single_env import serve_one
 from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.training.callbacks import Callback, RunDescription
-from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
+from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_files, hash_large_parts
 from hrl_escape.agents.training.evaluation import (
     Evaluation,
     compute_episode_seed,
@@ -137,7 +137,8 @@ class Run(Stateful):
     @property
     def identity(self) -> dict[str, Any]:
         """Everything that decides the run's numbers, as a JSON value; `run.json` keeps it."""
-        apart = self.eval_env is not self.env
+        apart, environment = self.eval_env is not self.env, describe_env(self.env)
+        files = hash_files(environment)
         return {
             "format": FORMAT,
             "version": __version__,
@@ -145,10 +146,11 @@ class Run(Stateful):
             "agent": f"{type(self.agent).__module__}:{type(self.agent).__qualname__}",
             **self.arguments.identity,
             "settings": self._list_settings(),
-            "environment": describe_env(self.env),
+            "environment": environment,
             "evaluation_environment": describe_env(self.eval_env) if apart else None,
             "observation_space": repr(self.env.observation_space),
             "action_space": repr(self.env.action_space),
+            **({"files": files} if files else {}),
             **({} if self.probe is None else {"probe": self.probe.identity}),
         }
 

@@ -12,12 +12,14 @@ left, and g the goal. A decision should reach the targets T, which depend on the
 
 A decision that makes progress is no error. One that leads to no target is an error. One that leads towards one of
 several targets without progress is an error if it makes the trail since the last progress staler: S = c + e + n, with
-c = edges - nodes + 1 of the trail, and e and n the visits of edges and nodes beyond the second. Each error is divided
-by the decisions that count for it.
+c = edges - nodes + 1 of the trail, an undirected graph, and e and n the visits of edges and nodes beyond the second.
+Each error is divided by the decisions that count for it.
 
 In a room, U holds the presses whose result with the current lights is unknown: buttons that are off and were not tried
 since a light changed. P holds the buttons that are off and are known to turn on with the current lights, and the exit
-once it is open. A decision leads to a target if it presses it, or presses nothing and ends nearer to it.
+once it is open. A decision leads to a target if it presses it, or presses nothing and ends nearer to it. The nodes of
+the trail are the buttons that were pressed. A decision that presses a button is progress or leads to no target, so the
+staleness decides only about decisions that stay at a node, where c and e are constant: n alone is computed.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.options.domain import DomainStep
 
-EXIT = -1
-"""The exit among the targets, which are numbered from 0."""
+EXIT, START = -1, -2
+"""The exit among the targets, which are numbered from 0; and the start among the nodes of a trail."""
 
 
 class ActionErrors(NamedTuple):
@@ -55,7 +57,8 @@ def estimate_errors(room: RoomInstance, decisions: Sequence[Sequence[DomainStep]
         room: the room; its graph is not read.
         decisions: primitives of each decision, in order: `OptionsEnv.last_steps` or `TextEnv.decisions`.
     """
-    knowledge, trail = _Knowledge(room), _Trail()
+    knowledge, node = _Knowledge(room), START
+    visits = Counter([node])  # of the trail's nodes
     errors, counts = Counter[str](), Counter[str]()
     for steps in decisions:
         unknown, pending = knowledge.list_targets(steps[0].state)
@@ -65,11 +68,12 @@ def estimate_errors(room: RoomInstance, decisions: Sequence[Sequence[DomainStep]
         reached = knowledge.note(steps)
         if reached & wanted:
             is_error = False
-            trail.begin(max(reached))
+            node, visits = max(reached), Counter([max(reached)])
         else:
-            grew = trail.visit(max(reached, default=None))
+            node = max(reached, default=node)
+            visits[node] += 1
             leads = not reached and _leads_nearer(room, steps, wanted)
-            is_error = not leads or (len(wanted) > 1 and grew)
+            is_error = not leads or (len(wanted) > 1 and visits[node] > 2)
         counts.update(kinds)
         errors.update(kinds if is_error else ())
     return ActionErrors(*(errors[kind] / max(counts[kind], 1) for kind in ("exploration", "exploitation")))
@@ -111,29 +115,6 @@ class _Knowledge:
             if step.info["is_success"]:
                 reached.add(EXIT)
         return reached
-
-
-class _Trail:
-    """Walk over pressed targets since the last progress."""
-
-    def __init__(self) -> None:
-        self.begin(None)
-
-    def begin(self, node: int | None) -> None:
-        self._node, self._nodes, self._edges, self._stale = node, Counter([node]), Counter[tuple[int | None, int]](), 0
-
-    def visit(self, node: int | None) -> bool:
-        """Go on to a node, or stay for None; return whether the trail has become staler."""
-        if node is None:
-            self._nodes[self._node] += 1
-        else:
-            self._edges[self._node, node] += 1
-            self._nodes[node] += 1
-            self._node = node
-        cycles = len(self._edges) - len(self._nodes) + 1
-        before, self._stale = self._stale, cycles + sum(max(visits - 2, 0) for counter in (self._edges, self._nodes)
-                                                        for visits in counter.values())
-        return self._stale > before
 
 
 def _leads_nearer(room: RoomInstance, steps: Sequence[DomainStep], wanted: set[int]) -> bool:

@@ -120,19 +120,20 @@ def _make_room_table(summary: Summary) -> list[str]:
     count, are_sets, grid = len(summary.rooms), bool(summary.grid.train_rooms), summary.grid
     one, many = ("set of rooms", "sets of rooms") if are_sets else ("room", "rooms")
     rooms = f"each of {count} {many}" if count > 1 else f"one {one}"
-    seen = "| in rooms trained in " * are_sets
+    unseen = summary.covers_unseen
+    seen = "| in unseen rooms (mean, two-way 95 % interval) " * unseen + "| in rooms trained in " * are_sets
     return [f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
-            "0 without escape, else the fewest primitives known over those taken.", "",
+            f"0 without escape, else the fewest primitives known over those taken. {summary.describe_intervals()}", "",
             f"| agent | efficiency (IQM, 95 % interval) {seen}| progress | success rate (Wilson) "
             "| primitives an episode | first escape | return score | stuck runs | missing: options + learning |",
-            "|---|---|---|---|---|---|---|---|---|" + "---|" * are_sets,
-            *(_make_line(agent, are_sets) for agent in summary.agents)]
+            "|---|---|---|---|---|---|---|---|---|" + "---|" * (are_sets + unseen),
+            *(_make_line(agent, are_sets, unseen) for agent in summary.agents)]
 
 
 def _make_env_table(summary: Summary) -> list[str]:
     grid, columns = summary.grid, list_env_columns(summary)
     return [f"After {grid.primitives:,} primitives in {make_markdown_text(summary.rooms[0].name)}, {grid.runs} runs. "
-            "Returns are means over the last fifth of training.", "",
+            f"Returns are means over the last fifth of training. {summary.describe_intervals()}", "",
             f"| agent | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|",
             *(f"| {make_markdown_text(agent.label)} | {' | '.join(list_env_values(summary, agent))} |"
               for agent in summary.agents)]
@@ -150,10 +151,11 @@ def list_env_values(summary: Summary, agent: AgentSummary) -> list[str]:
     return [f"{agent.returns:.4g}", *success, f"{agent.length.value:,.0f}", f"{agent.decisions:,.0f}"]
 
 
-def _make_line(agent: AgentSummary, are_sets: bool) -> str:
+def _make_line(agent: AgentSummary, are_sets: bool, covers_unseen: bool) -> str:
+    unseen = f"{agent.unseen:.3f} | " if covers_unseen else ""
     seen = "- | " if agent.seen is None else f"{agent.seen:.3f} | "
     return (f"| {make_markdown_text(agent.label)} | {agent.efficiency:.3f} "
-            f"| {seen * are_sets}{agent.progress.value:.2f} | {agent.success:.0%} | {agent.length.value:.0f} "
+            f"| {unseen}{seen * are_sets}{agent.progress.value:.2f} | {agent.success:.0%} | {agent.length.value:.0f} "
             f"| {format_first_escape(agent)} "
             f"| {agent.score.value:.3f} | {agent.stuck:.0%} | {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
 

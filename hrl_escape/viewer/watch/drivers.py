@@ -32,6 +32,7 @@ from hrl_escape.agents.training.train import load_agent
 from hrl_escape.benchmark.agent_env import make_agent_env, make_player
 from hrl_escape.benchmark.episodes import StateRecorder, find_recorder
 from hrl_escape.benchmark.pretrained import list_pretrained, unpack_pretrained
+from hrl_escape.env.continuous import EscapeRoomContinuousEnv
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -46,6 +47,9 @@ from hrl_escape.planning.route import Route, get_pose
 from hrl_escape.sets.instance_set import InstanceSetEnv
 from hrl_escape.sets.room_schedule import RoomSchedule
 from hrl_escape.text.text_env import TextEnv
+
+ROOMS = frozenset(map(name_part, (EscapeRoomEnv, EscapeRoomContinuousEnv, InstanceSetEnv)))
+"""Innermost environments of runs that can be shown."""
 
 
 class EscapePlan:
@@ -212,6 +216,11 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     with refusing_damage(f"{folder}: the description of this run"):
         name, spaces = described["name"], (described["observation_space"], described["action_space"])
         kept = described["environment"]
+        is_room = kept["class"] in ROOMS
+    if not is_room:
+        raise UnsupportedError(f"{folder} was trained in {kept['class']}, and only rooms can be shown. In Python, "
+                               "evaluate(load_agent(folder), load_env(folder)) plays episodes")
+    with refusing_damage(f"{folder}: the description of this run"):
         option_set = next((part["arguments"]["option_set"] for part in kept["wrappers"]
                            if "option_set" in part["arguments"]), DEFAULT_SET)
         arguments = kept["arguments"] or {}
