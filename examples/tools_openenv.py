@@ -1,10 +1,11 @@
 """A room as an OpenEnv environment: `reset` and `step` with typed actions, served to trainers over HTTP.
 
-Requires `pip install openenv`. Its pinned versions conflict with other frameworks, so this package has no extra for it.
-Without it, the script prints this and ends.
+Requires `pip install openenv` (tried with 0.10.0). Its pinned versions conflict with other frameworks, so this package
+has no extra for it. Without it, the script prints this and ends.
 
-    python examples/tools_openenv.py               # plays one game in this process
-    python examples/tools_openenv.py --serve       # serves rooms on 127.0.0.1:8000
+    python examples/tools_openenv.py                                    # plays one game in this process
+    python examples/tools_openenv.py --serve                            # serves rooms on 127.0.0.1:8000
+    python examples/tools_openenv.py --connect http://127.0.0.1:8000    # plays one game there
 """
 
 from __future__ import annotations
@@ -61,22 +62,35 @@ def make_classes() -> tuple[Any, Any, Any]:
 def main() -> None:
     """Play or serve."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--serve", action="store_true", help="serve over HTTP")
-    serve = parser.parse_args().serve
+    parser.add_argument("--serve", action="store_true", help="serve over HTTP and WebSocket")
+    parser.add_argument("--port", type=int, default=8000, help="port of the server")
+    parser.add_argument("--connect", help="address of a server to play at")
+    args = parser.parse_args()
     if importlib.util.find_spec("openenv") is None:
         print("OpenEnv is not installed: pip install openenv")
         return
     room_class, action_class, observation_class = make_classes()
-    if serve:
+    if args.serve:
         import uvicorn
         from openenv.core.env_server.http_server import create_app
 
-        uvicorn.run(create_app(room_class, action_class, observation_class), host="127.0.0.1", port=8000)
+        uvicorn.run(create_app(room_class, action_class, observation_class), host="127.0.0.1", port=args.port)
+        return
+    calls = [{"tool": "run_option", "arguments": {"option": option}}
+             for option in ("press-button-1", "press-button-2", "go-to-exit")]
+    if args.connect is not None:
+        from openenv.core.generic_client import GenericEnvClient
+
+        with GenericEnvClient(base_url=args.connect) as client:
+            print(client.reset(seed=0).observation["text"])
+            for call in calls:
+                result = client.step(call)
+                print(result.observation["text"], result.reward, result.done)
         return
     room = room_class()
     print(room.reset(seed=0).text)
-    for option in ("press-button-1", "press-button-2", "go-to-exit"):
-        seen = room.step(action_class(tool="run_option", arguments={"option": option}))
+    for call in calls:
+        seen = room.step(action_class(**call))
         print(seen.text, seen.reward, seen.done)
 
 

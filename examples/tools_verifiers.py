@@ -1,21 +1,29 @@
-"""A room as an environment of verifiers: a taskset of rooms, and the room as the user of the conversation.
+"""Rooms as an environment of verifiers: a taskset of rooms, and the room as the user of the conversation.
 
-Requires `pip install verifiers` (0.4) in an environment of its own, because it pins another version of mcp. Without it,
-the script prints this and ends.
+Requires `pip install verifiers uv` (tried with 0.4.0) in an environment of its own, because it pins another version of
+mcp. Without it, the script prints this and ends. The model is behind any OpenAI-compatible endpoint; verifiers' chat
+program runs on this machine, in an environment that uv makes.
 
-    python examples/tools_verifiers.py             # plays one game with a scripted agent
+    python examples/tools_verifiers.py --model my-model --endpoint http://localhost:8000/v1 --rooms 2
+
+The module is a plugin of verifiers: with `examples` on PYTHONPATH its taskset has the id `tools_verifiers`.
 """
 
 from __future__ import annotations
 
+import argparse
 import asyncio
+import functools
 import importlib.util
 import json
+import sys
+from pathlib import Path
 from typing import Any
 
 from hrl_escape.sets import make_room
 from hrl_escape.text import RoomSession
 
+__all__ = ["RoomEnv", "RoomTaskset"]  # noqa: F822  # made on first use
 ROOM = "ladder-1/pair/test#{}"
 RULES = 'Reply with one call as JSON: {"tool": "run_option", "arguments": {"option": "press-button-1"}}.'
 
@@ -37,8 +45,9 @@ def answer(session: RoomSession, reply: str) -> str:
     return session.call(tool, arguments).text
 
 
-def make_classes() -> tuple[Any, Any]:
-    """Make the taskset and the environment; imports verifiers."""
+@functools.cache
+def make_classes() -> dict[str, Any]:
+    """Make the taskset, the environment and its configuration; imports verifiers."""
     import verifiers.v1 as vf
 
     class RoomData(vf.TaskData):
@@ -47,17 +56,21 @@ def make_classes() -> tuple[Any, Any]:
     class RoomTask(vf.Task[RoomData]):
         pass
 
-    class RoomConfig(vf.TasksetConfig):
+    class RoomTasksetConfig(vf.TasksetConfig):
         rooms: int = 10
 
-    class RoomTaskset(vf.Taskset[RoomTask, RoomConfig]):
+    class RoomTaskset(vf.Taskset[RoomTask, RoomTasksetConfig]):
         def load(self) -> Any:
             for number in range(self.config.rooms):
-                text = make_session(number).reset(seed=0)
-                yield RoomTask(RoomData(name=ROOM.format(number), prompt=f"{text}\n{RULES}", number=number))
+                session = make_session(number)
+                text = session.reset(seed=0)
+                options: Any = session.tools()[0]["inputSchema"]["properties"]["option"]["enum"]
+                prompt = f"{text}\nOptions: {', '.join(options)}\n{RULES}"
+                yield RoomTask(RoomData(name=ROOM.format(number), prompt=prompt, number=number))
 
     class RoomEnvConfig(vf.EnvConfig):
-        player: vf.AgentConfig = vf.AgentConfig()
+        player: vf.AgentConfig = vf.AgentConfig.model_validate(
+            {"harness": {"id": "null"}, "runtime": {"type": "subprocess"}})  # a chat that runs no code
 
     class RoomEnv(vf.Env[RoomEnvConfig]):
         async def run(self, task: Any, agents: Any) -> None:
@@ -72,52 +85,45 @@ def make_classes() -> tuple[Any, Any]:
                     segment = await interaction.turn(said)
             interaction.trace.record_reward("efficiency", session.score().efficiency, 1.0)
 
-    return RoomTaskset, RoomEnv
+    return {kind.__name__: kind for kind in (RoomTaskset, RoomEnv, RoomEnvConfig)}
 
 
-class Scripted:
-    """Agent that takes options in turn, in the place of a model."""
+def __getattr__(name: str) -> Any:
+    """Make the classes that verifiers looks up, on first use."""
+    if name not in __all__:
+        raise AttributeError(name)
+    return make_classes()[name]
 
-    def __init__(self, options: list[str]) -> None:
-        self._options, self.rewards, self.turns = options, dict[str, float](), 0
-        self.player = self.trace = self
-        self.terminated, self.last_reply = False, ""
 
-    def interaction(self, task: Any) -> Scripted:
-        """Begin a conversation."""
-        return self
+async def play(model: str, endpoint: str, key_variable: str, rooms: int) -> None:
+    """Play each room once, by verifiers' own episodes."""
+    import verifiers.v1 as vf
 
-    async def __aenter__(self) -> Scripted:
-        return self
-
-    async def __aexit__(self, *error: object) -> None:
-        return None
-
-    async def turn(self, said: str = "") -> Scripted:
-        """Reply with the next option."""
-        option = self._options[self.turns % len(self._options)]
-        self.turns += 1
-        self.last_reply = f'I call {json.dumps({"tool": "run_option", "arguments": {"option": option}})}'
-        return self
-
-    def record_reward(self, name: str, value: float, weight: float = 1.0) -> None:
-        """Keep a reward."""
-        self.rewards[name] = value * weight
+    made = make_classes()
+    env = made["RoomEnv"](made["RoomEnvConfig"].model_validate(
+        {"taskset": {"id": "tools_verifiers", "rooms": rooms}, "interception": {"type": "server"}}))
+    context = vf.ModelContext(model=model, client=vf.EvalClientConfig(base_url=endpoint, api_key_var=key_variable))
+    async with env.serving():
+        for task in env.taskset.load():
+            episode = await env.run_episode(task, context)
+            errors = [*episode.errors, *(error for trace in episode.traces for error in trace.errors)]
+            rewards = [{name: reward.score for name, reward in trace.rewards.items()} for trace in episode.traces]
+            print(f"{task.data.name}: ok={episode.ok} {rewards} {[error.message for error in errors]}")
 
 
 def main() -> None:
-    """Play one task."""
+    """Play some rooms."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", default="my-model", help="name of the model")
+    parser.add_argument("--endpoint", default="http://localhost:8000/v1", help="OpenAI-compatible endpoint")
+    parser.add_argument("--key-variable", default="OPENAI_API_KEY", help="environment variable with the key")
+    parser.add_argument("--rooms", type=int, default=1, help="test rooms")
+    args = parser.parse_args()
     if importlib.util.find_spec("verifiers") is None:
-        print("verifiers is not installed: pip install verifiers")
+        print("verifiers is not installed: pip install verifiers uv")
         return
-    import verifiers.v1 as vf
-
-    taskset_class, env_class = make_classes()
-    tasks = [*taskset_class(next(iter(taskset_class.__orig_bases__)).__args__[1](id="rooms", rooms=2))]
-    assert issubclass(env_class, vf.Env) and all(isinstance(task, vf.Task) for task in tasks)
-    agent = Scripted(["press-button-1", "press-button-2", "press-button-1", "go-to-exit"])
-    asyncio.run(env_class.run(object.__new__(env_class), tasks[0], agent))
-    print(f"{tasks[0].data.name}: {agent.turns} turns, {agent.rewards}")
+    sys.path.insert(0, str(Path(__file__).parent))
+    asyncio.run(play(args.model, args.endpoint, args.key_variable, args.rooms))
 
 
 if __name__ == "__main__":

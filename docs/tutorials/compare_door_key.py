@@ -66,8 +66,9 @@ result
 
 # The score is the return, because MiniGrid states no best return of a layout. With ten seeds the verdict rests on
 # paired tests, corrected for all pairs of agents. `report` writes the page with curves, tables and tests, and the raw
-# numbers with it. Curves against decisions show what an option saves. The budget is small, so that the page builds
-# quickly: a flat agent needs far more primitives than 1,000, so take 100,000 before you judge it.
+# numbers with it. Curves against decisions show what an option saves. The budget of 1,000 primitives is small, so that
+# the page builds quickly. The numbers say nothing about trained flat agents, which need far more: take 100,000 before
+# you judge them.
 
 print(result.verdict[0].text)
 print(result.report("door-key"))

@@ -127,7 +127,7 @@ TUTORIALS = {
                        r"q-learning: mean return -200.0 .* random-options\+primitives: mean return -?1?\d\.\d",
     "compare_door_key": r"`smdp-dqn` is best: it has a return of 0\.\d+ .* door-key/report\.html",
     "compare_cart_pole": r"dqn: return \d+ .* PPO of SB3: return \d+ .* RandomSearch: return \d+ .* "
-                         r"lean-with-the-pole: return \d+",
+                         r"lean-with-the-pole: return \d+.* cart-pole/report\.html",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by press-button-1, then press-button-2, then go-to-exit",
     "maxq_taxi": r"optimum of the graph 7.93, of all policies 7.93 maxq-q: mean return (7\.[5-9]|8\.[0-3])",

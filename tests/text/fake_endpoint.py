@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -76,6 +77,8 @@ def run_endpoint(faults: Callable[[int], str] | Sequence[str] = ()) -> Iterator[
             self.wfile.write(content)
 
         def answer(self, body: Any, fault: str) -> None:
+            if body.get("stream"):
+                return self.send(200, make_stream(body), Content_Type="text/event-stream")
             good = make_answer(body, endpoint.usage)
             content = json.dumps(good).encode()
             if fault == "busy":
@@ -149,6 +152,18 @@ def make_answer(body: Any, usage: dict[str, Any]) -> dict[str, Any]:
         "name": "run_option", "arguments": json.dumps({"option": options[turns % len(options)]})}}
     return {"choices": [{"message": {"role": "assistant", "content": None, "tool_calls": [call]}}],
             "usage": usage}
+
+
+def make_stream(body: Any) -> bytes:
+    """Events of a model without tools that writes a call in each reply: the options of the first message in turn."""
+    options = re.findall(r"Options: (.*)", body["messages"][0]["content"])[0].split(", ")
+    turn = sum(message["role"] == "assistant" for message in body["messages"])
+    call = json.dumps({"tool": "run_option", "arguments": {"option": options[turn % len(options)]}})
+    parts = [{"index": 0, "delta": {"role": "assistant", "content": f"I call {call}"}, "finish_reason": None},
+             {"index": 0, "delta": {}, "finish_reason": "stop"}]
+    events = [{"id": "a", "object": "chat.completion.chunk", "created": 0, "model": body["model"], "choices": [part],
+               "usage": {"prompt_tokens": 5, "completion_tokens": 5, "total_tokens": 10}} for part in parts]
+    return "".join(f"data: {text}\n\n" for text in [*map(json.dumps, events), "[DONE]"]).encode()
 
 
 FAULTS = ("busy", "broken", "silent", "trickle", "trickling head", "cut", "garbage", "nested", "endless", "empty",

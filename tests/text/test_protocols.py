@@ -1,15 +1,21 @@
 """The loops of frameworks that play text games, run over the adapters of `examples`; hubs' manifests replay.
 
-BALROG and TextArena are not installed: the loops are written here as their evaluators call an environment.
+BALROG and TextArena are not installed: the loops are written here as their evaluators call an environment. OpenEnv and
+verifiers run themselves, each in a virtual environment of its own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+import itertools
 import json
+import os
+import re
+import socket
 import subprocess
 import sys
-import urllib.request
+import time
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +25,11 @@ from benchmarks.hub_manifest import MANIFEST, check_entry
 from hrl_escape import EscapeRoomEnv, OptionsEnv
 from hrl_escape.errors import VerificationError
 from hrl_escape.text import TextEnv
-from tests.text.rooms import get_room
+from tests.text.fake_endpoint import run_endpoint
+from tests.text.rooms import get_room, make_session
 
 ROOT = Path(__file__).parents[2]
+OPENENV, VERIFIERS = "openenv==0.10.0", "verifiers==0.4.0"
 ENTRIES = {entry["rung"]: entry for entry in json.loads(MANIFEST.read_text(encoding="utf-8"))["rungs"]}
 
 
@@ -85,25 +93,52 @@ def test_every_rung_has_a_manifest_that_replays(rung: str):
     check_entry(ENTRIES[rung])
 
 
-def run_apart(folder: Path, requirement: str, *words: str) -> str:
-    """Output of a command in a virtual environment with a package of its own, over the packages installed here."""
-    try:
-        urllib.request.urlopen("https://pypi.org/simple/pip/", timeout=30).close()
-    except OSError as error:
-        pytest.skip(f"no package index: {error}")
+def make_venv(folder: Path, *requirements: str) -> Path:
+    """Python of a virtual environment with packages of its own, over the packages installed here."""
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+    fetched = subprocess.run([*pip, "download", "--quiet", "--no-deps", "--dest", folder / "wheels", *requirements],
+                             text=True, capture_output=True)
+    if fetched.returncode:
+        pytest.skip(f"{', '.join(requirements)} cannot be had: {fetched.stderr.strip().splitlines()[-1]}")
     subprocess.run([sys.executable, "-m", "venv", folder], check=True)
     python = folder / "bin/python"
-    subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-compile", requirement], check=True)
+    subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-compile", *requirements], check=True)
     here = next(path for path in sys.path if path.endswith("site-packages"))
     (next(folder.glob("lib/python*/site-packages")) / "here.pth").write_text(f"{ROOT}\n{here}\n")
-    done = subprocess.run([python, *words], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    return python
+
+
+def run_in(python: Path, *words: str, **variables: str) -> str:
+    """Output of a command in a virtual environment."""
+    path = f"{python.parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run([python, *words], cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                          env={**os.environ, "PATH": path, **variables})
     assert done.returncode == 0, done.stdout
     return done.stdout
 
 
+def find_port() -> int:
+    with socket.socket() as made:
+        made.bind(("127.0.0.1", 0))
+        return made.getsockname()[1]
+
+
 @pytest.mark.slow
 def test_openenv_plays_a_room_and_reads_the_package_in_an_environment_of_its_own(tmp_path: Path):
-    assert "escaped. " in run_apart(tmp_path / "venv", "openenv==0.10.0", "examples/tools_openenv.py")
+    python = make_venv(tmp_path / "venv", OPENENV)
+    alone = run_in(python, "examples/tools_openenv.py")
+    assert alone.endswith("The game is over: escaped. 87.0 True\n")
+    port = find_port()
+    server = subprocess.Popen([python, "examples/tools_openenv.py", "--serve", "--port", str(port)], cwd=ROOT)
+    try:
+        for _ in range(600):
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1):
+                break
+            time.sleep(0.5)
+        assert run_in(python, "examples/tools_openenv.py", "--connect", f"http://127.0.0.1:{port}") == alone
+    finally:
+        server.terminate()
+        server.wait(60)
     subprocess.run([sys.executable, "-m", "benchmarks.hub_manifest", "--rungs", "pair", "--package",
                     tmp_path / "package"], cwd=ROOT, check=True)
     done = subprocess.run([tmp_path / "venv/bin/openenv", "validate", tmp_path / "package", "--level", "static",
@@ -115,5 +150,18 @@ def test_openenv_plays_a_room_and_reads_the_package_in_an_environment_of_its_own
 
 @pytest.mark.slow
 def test_verifiers_plays_a_room_in_an_environment_of_its_own(tmp_path: Path):
-    said = run_apart(tmp_path / "venv", "verifiers==0.4.0", "examples/tools_verifiers.py")
-    assert "ladder-1/pair/test#0: " in said and "'efficiency': " in said
+    python = make_venv(tmp_path / "venv", VERIFIERS, "uv")
+    with run_endpoint() as endpoint:
+        said = run_in(python, "examples/tools_verifiers.py", "--endpoint", endpoint.url, "--rooms", "2",
+                      OPENAI_API_KEY="sk-none", XDG_CACHE_HOME=str(tmp_path / "cache"))
+    scores, turns = [float(score) for score in re.findall(r"ok=True \[\{'efficiency': ([\d.]+)\}\] \[\]", said)], 0
+    for number, score in enumerate(scores):
+        session = make_session(get_room("pair", number))
+        options: Any = session.tools()[0]["inputSchema"]["properties"]["option"]["enum"]
+        for option in itertools.cycle(options):
+            turns += 1
+            session.call("run_option", {"option": option})
+            if session.env.is_over:
+                break
+        assert score == pytest.approx(session.score().efficiency) and score > 0
+    assert len(scores) == 2 and len(endpoint.requests) == turns, said
