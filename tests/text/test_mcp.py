@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib.util
 import sys
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from hrl_escape.cli import main
@@ -57,6 +59,43 @@ def test_a_client_plays_two_rooms_and_sees_what_the_session_answers(tmp_path: Pa
     series.close()
     (game,) = verify_games(tmp_path / "games.jsonl")
     assert game.score == twin.score() and list(game.turns) == twin.transcript
+
+
+NAMES = ("", "run_option", "move", "look ", "mcp__rooms__run_option", "reset", "__class__", "\x00", "x" * 100_000, "{}")
+ARGUMENTS: tuple[Any, ...] = (
+    {"option": "press-button-9"}, {"option": ["go-to-exit"]}, {"option": {"option": {"option": 1}}}, {"option": ""},
+    {"primitive": "forward", "times": 10**30}, {"primitive": "forward", "times": "3.5"}, {"primitive": [], "times": 1},
+    {"_meta": {"a": 1}, "option": 10**30}, {"": ""}, {"option": "press-button-1\n"}, {"x" * 10_000: [[[[[]]]]]})
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
+def test_2000_malformed_calls_over_the_protocol_cost_a_primitive_each_and_end_no_server():
+    import anyio
+    from mcp import Client
+
+    from hrl_escape.text.mcp_server import make_server
+    from hrl_escape.text.series import GameSeries
+
+    rng, rooms, count = np.random.default_rng(0), [get_room("pair", number) for number in range(3)], 2_000
+    series = GameSeries(rooms)
+
+    async def talk() -> None:
+        async with Client(make_server(series)) as client:
+            for _ in range(count):
+                before = series.session.score().primitives
+                name, arguments = (kinds[rng.integers(len(kinds))] for kinds in (NAMES, ARGUMENTS))
+                result = await client.call_tool(name, arguments)
+                score = series.session.score()
+                assert result.is_error and result.content[0].text.isprintable()
+                assert score.primitives == before + 1 == score.invalid_calls
+                if score.primitives == rooms[0].horizon:
+                    await client.call_tool("new_game", {})
+            result = await client.call_tool("run_option", {"option": "press-button-1"})
+            assert not result.is_error
+
+    anyio.run(talk)
+    assert series.number == count // rooms[0].horizon
 
 
 @pytest.mark.nightly
