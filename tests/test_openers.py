@@ -33,6 +33,7 @@ import hrl_escape
 from hrl_escape.agents import load_agent, load_result, train
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.archive import describe_part, pack_run, read_summary
+from hrl_escape.agents.training.env_description import hash_files
 from hrl_escape.agents.training.plots import read_csv_curve
 from hrl_escape.benchmark.conversion import convert_file
 from hrl_escape.benchmark.env_spec import _find_part
@@ -308,6 +309,8 @@ DOORS: dict[str, Door] = {
         lambda: link_run(f), lambda: read_progress(f, RUN), lambda: _read_tail(f / "training" / "log.jsonl"))),
     "curve": Door(("x.csv",), write(x__csv="step,return\n1,2\n"), lambda f: read_csv_curve(f / "x.csv")),
     "module": Door(("x.py",), write(x__py="def make(): ..."), lambda f: _find_part(f"{f / 'x.py'}:make", "env")),
+    "hash of a module": Door(("x.py",), write(x__py="def make(): ..."),
+                             lambda f: hash_files({"function": f"{f / 'x.py'}:make"})),
     "best known": Door((), lambda f: find_ends(f), find_ends),
     "personal bests": Door(("personal-bests.json",), lambda f: None, keep_best),
     "map": Door(("m.yaml", "m.png"), lambda f: (draw_map(f / "m.png"), write(m__yaml=json.dumps(MAP))(f)),
