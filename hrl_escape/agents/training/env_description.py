@@ -498,8 +498,11 @@ def load_file(path: str) -> ModuleType:
 def hash_files(description: Mapping[str, Any]) -> dict[str, str]:
     """Return a hash of each Python file that a description names, by its path."""
     modules = {str(name).rpartition(":")[0] for name in _list_names(description)}
-    return {path: hashlib.sha256(read_text(path, "Python file").encode()).hexdigest()[:8]
-            for path in sorted(modules) if path.endswith(".py")}
+    hashes = {}
+    for path in sorted(modules):
+        if path.endswith(".py"):
+            hashes[path] = hashlib.sha256(read_text(path, "Python file").encode()).hexdigest()[:8]
+    return hashes
 
 
 def find_part(name: Any) -> Callable[[], Any] | None:
