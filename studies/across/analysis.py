@@ -40,7 +40,7 @@ class Args(StudyArgs):
     """Options of the study."""
 
     minutes: float | None = None
-    """Begin no run after so long; the same command goes on."""
+    """Begin no run after so long; the same command continues."""
     benchmark: str = ""
     """Benchmark to run; all by default."""
     candidates: bool = False

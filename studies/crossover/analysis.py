@@ -41,7 +41,7 @@ class Args(StudyArgs):
     """Options of the study."""
 
     minutes: float | None = None
-    """Begin no run after so long; the same command goes on."""
+    """Begin no run after so long; the same command continues."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -57,7 +57,7 @@ class Args(StudyArgs):
     """Options of the study."""
 
     minutes: float | None = None
-    """Begin no run after so long; the same command goes on."""
+    """Begin no run after so long; the same command continues."""
     device: str = "cpu"
     """Device of rooms and networks."""
     workers: int = 1
@@ -88,7 +88,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     learners = list_learners(data)
     for label in args.agents:
         if label not in learners:
-            raise UnknownNameError(f"learner of {study.name}", label, learners)
+            raise UnknownNameError(f"agent of {study.name}", label, learners)
     check_design(lines := store.load(), design)
     jobs = [job for job in list_jobs(data, design) if _is_wanted(job, args, data)]
     known = {line.place for line in lines}
@@ -100,7 +100,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
                       f"{line.budget:,} primitives: first escape {line.first_escape}, efficiency {line.late:.2f}, "
                       f"{line.seconds:.0f} s; {len(missing) - made} of {len(jobs)} runs are missing", markup=False)
     if made < len(missing):
-        console.print(f"time is up: {len(missing) - made} of {len(jobs)} runs are missing, the same command goes on")
+        console.print(f"time is up: {len(missing) - made} of {len(jobs)} runs are missing, the same command continues")
 
 
 def _is_wanted(job: ScaleRun, args: Args, data: Mapping[str, Any]) -> bool:
@@ -143,7 +143,7 @@ def _make(data: Mapping[str, Any], jobs: Sequence[ScaleRun], store: Store, args:
                     line = future.result()
                 except BrokenProcessPool:
                     raise ComparisonError(f"the process of a run was killed ({job.agent}, {job.buttons} buttons, room "
-                                          f"{job.seed}): the same command goes on, perhaps with fewer --workers"
+                                          f"{job.seed}): the same command continues, perhaps with fewer --workers"
                                           ) from None
                 store.add([line])
                 yield line

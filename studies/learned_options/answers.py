@@ -18,7 +18,7 @@ __all__ = ["Cells", "Gain", "Verdict", "choose_flat", "compare_to_flat", "find_c
            "find_half", "gather_cells", "simulate_gain", "simulate_ratio"]
 
 HALF = 0.5
-"""Mean efficiency of training episodes from which a room counts as learned, in two parts in a row."""
+"""Mean efficiency of training episodes that counts as learning a room, in two parts in a row."""
 ALPHA = 0.05
 
 Cells = Mapping[str, Mapping[int, ScaleRun]]
@@ -26,13 +26,13 @@ Cells = Mapping[str, Mapping[int, ScaleRun]]
 
 
 class Gain(NamedTuple):
-    """A learner of its own options against the best flat learner of a size.
+    """An agent that learns its options against the best flat learner of a size.
 
     Attributes:
         flat: label of the best flat learner.
         rooms: pairs.
         late: difference in efficiency in the last fifth of the budget; p is corrected over learners and sizes (Holm).
-        first: primitives to the first escape, learner of options over flat learner.
+        first: primitives to the first escape, agent with learned options over flat agent.
         credit: the same from the first escape until the room is learned.
     """
 
@@ -88,12 +88,12 @@ def find_half(run: ScaleRun) -> int | None:
 
 def compare_to_flat(sizes: Mapping[int, Cells], flat: Sequence[str], options: Sequence[str], least: int
                     ) -> dict[tuple[int, str], Gain]:
-    """Compare each learner of options with the best flat learner of each size, as one family.
+    """Compare each agent that learns options with the best flat learner of each size, as one family.
 
     Args:
         sizes: number of buttons -> its cells, of one budget.
         flat: labels of flat learners.
-        options: labels of learners of their own options.
+        options: labels of agents that learn their options.
         least: fewest rooms of a comparison.
 
     Returns:
@@ -123,7 +123,7 @@ def _wait(run: ScaleRun) -> float | None:
 
 
 def find_crossover(gains: Mapping[tuple[int, str], Gain]) -> int | None:
-    """Smallest number of buttons from which some learner of options pays at every size compared, or None."""
+    """Smallest number of buttons such that learned options pay at this and every larger size compared, or None."""
     sizes = sorted({buttons for buttons, _ in gains})
     paying = {buttons for (buttons, _), gain in gains.items() if gain.verdict == "pays"}
     beyond = [size for at, size in enumerate(sizes) if paying.issuperset(sizes[at:])]
@@ -134,10 +134,10 @@ def find_crossover(gains: Mapping[tuple[int, str], Gain]) -> int | None:
 
 
 def simulate_gain(effect: float, spread: float, rooms: int, family: int, draws: int, seed: int = 0) -> float:
-    """Power of the test of late efficiency: share of draws in which one true difference in a family is found.
+    """Power of the test of late efficiency: share of draws that find one true difference in a family.
 
     Args:
-        effect: true mean difference of the first comparison; that of the others is 0.
+        effect: true mean difference of the first comparison; the others have 0.
         spread: standard deviation of a difference over rooms, normal.
         rooms: pairs.
         family: comparisons that are corrected together.
@@ -153,7 +153,7 @@ def simulate_gain(effect: float, spread: float, rooms: int, family: int, draws: 
 
 
 def simulate_ratio(ratio: float, spread: float, escaping: float, rooms: int, draws: int, seed: int = 0) -> float:
-    """Share of draws in which the interval of a ratio of first escapes leaves out 1: its power, or with 1 its error.
+    """Share of draws whose interval of a ratio of first escapes leaves out 1: its power, or with 1 its error.
 
     Args:
         ratio: true median ratio.

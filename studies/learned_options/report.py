@@ -22,7 +22,7 @@ __all__ = ["SHOWN", "draw_curves", "draw_escapes", "tabulate_cells", "tabulate_g
            "tabulate_rates", "tabulate_trials"]
 
 SHOWN = ("ppo", "dqn", "dac", "a2oc", "ppo, planned options")
-"""Learners of the figures."""
+"""Agents shown in the figures."""
 
 
 def tabulate_cells(sizes: Mapping[int, Cells], learners: Mapping[str, Learner], least: int) -> str:

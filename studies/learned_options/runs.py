@@ -1,6 +1,6 @@
 """Runs of learned options at scale: which there are, and how one is made.
 
-A learner acts in many copies of one room. `streams.py` counts its training episodes, with whatever exploration they
+A learner acts in many copies of one room. `streams.py` counts its training episodes, with the exploration that they
 have, so all learners are measured alike and nothing is run outside the budget.
 """
 
@@ -44,7 +44,7 @@ TRIAL = "trial"
 
 @dataclasses.dataclass(frozen=True)
 class Learner:
-    """A learner of the study.
+    """An agent in the study.
 
     Attributes:
         label: in the results.
@@ -93,7 +93,7 @@ class ScaleRun:
         efficiency: sum over these of `fewest` / length, 0 without an escape.
         primitives: made.
         seconds: of processor time, without compilation.
-        device: on which it was made.
+        device: where it was made.
     """
 
     part: str
@@ -132,12 +132,12 @@ class ScaleRun:
 
 
 def list_learners(data: Mapping[str, Any]) -> dict[str, Learner]:
-    """Learners of the study by label, in its order."""
+    """Agents in the study by label, in its order."""
     return {table["label"]: read_record(Learner, table) for table in data["learners"]}
 
 
 def list_jobs(data: Mapping[str, Any], design: str) -> Iterator[ScaleRun]:
-    """All runs, in the order in which they are made: stage by stage, block by block, cell by cell.
+    """All runs, in the order of execution: stage by stage, block by block, cell by cell.
 
     The trials of a learner come before its first counted run, whose `choice` is still open (`OPEN`).
     """
@@ -211,7 +211,7 @@ def make_run(data: Mapping[str, Any], job: ScaleRun, choices: Mapping[str, int],
         _draw(watched, job.seed, job.budget)
     else:
         agent = make_agent(learner.agent, watched.observation_space, watched.action_space, job.seed, **settings)
-        spaces = gymnasium.Wrapper(single)  # compared with those of `watched`, and never run
+        spaces = gymnasium.Wrapper(single)  # compared with the spaces of `watched`, and never run
         spaces.action_space = watched.action_space
         _train(agent, watched, spaces, job)
     seconds = time.process_time() - started

@@ -1,6 +1,6 @@
 """Many copies of a room, and counts of what happens in them: escapes, their efficiency, the first of them.
 
-`WatchedEnvs` counts for every learner alike, whatever its decisions are: primitives, repeats, planned walks or learned
+`WatchedEnvs` counts for every agent alike, for any kind of decisions: primitives, repeats, planned walks or learned
 options. `OptionEnvs` makes frozen options the actions.
 """
 
