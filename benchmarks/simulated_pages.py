@@ -23,9 +23,8 @@ from studies.learned.dial import PLANNED, DialLine, find_best_option
 from studies.paper.analysis import list_claims
 from studies.paper.claims import judge_claims
 from studies.price.analysis import compare_pair
-from studies.price.contestants import BUTTON_COUNTS
 from studies.price.ratios import COSTS
-from studies.price.runs import PriceRun
+from studies.price.runs import BUTTON_COUNTS, PriceRun
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
 from studies.scaling.analysis import compare_given
 from studies.scaling.results import ScalingRun

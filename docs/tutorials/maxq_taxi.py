@@ -13,9 +13,9 @@ Both `get` and `put` therefore use what `navigate` learns about a depot.
 
 import gymnasium
 
+from benchmarks.optima import compute_price, read_model
 from hrl_escape import generate, get_preset, make_agent, train
 from hrl_escape.agents import maxq
-from studies.optima import compute_price, read_model
 
 env = gymnasium.make("Taxi-v4")
 generate(get_preset("taxi"), 0)  # the same world as a room of this package

@@ -24,9 +24,8 @@ from hrl_escape.names import count_nouns, join_words
 from hrl_escape.settings import read_record
 from studies.figures import Theme, make_figure, write_label
 from studies.flat import FlatLearner, FlatRun, count_untrained
-from studies.price.contestants import CONTESTANTS
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
-from studies.price.runs import PriceRun
+from studies.price.runs import CONTESTANTS, PriceRun
 from studies.running import open_store
 from studies.statistics import compute_median_interval
 from studies.study import Findings, Study, find_study
@@ -116,8 +115,8 @@ def choose_candidate(study: Study, lines: Sequence[Any], label: str) -> FlatLear
 def find_source(study: Study, learner: FlatLearner) -> str | None:
     """Label in the price of flatness of the runs that are a learner's with its chosen settings; None without such."""
     (table,) = (table for table in study.data["learners"] if table["label"] == learner.label)
-    return next((contestant.label for contestant in CONTESTANTS if contestant.label == table.get("price")
-                 and (contestant.agent, contestant.settings) == (learner.agent, learner.settings)), None)
+    return next((own["label"] for own in CONTESTANTS if own["label"] == table.get("price")
+                 and (own["agent"], own.get("settings", {})) == (learner.agent, learner.settings)), None)
 
 
 # --- runs as attempts ------------------------------------------------------------------------

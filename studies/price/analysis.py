@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import json
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,53 +14,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullLocator
 
-from hrl_escape.errors import UnknownNameError
+from hrl_escape.files import read_toml
 from hrl_escape.names import join_words
 from studies.figures import Theme, make_figure, write_label
-from studies.price.contestants import BUTTON_COUNTS, CONTESTANTS, PAIRS
 from studies.price.ratios import COSTS, CostRatio, RunCost, compare_costs, correct_prices, measure_growth
-from studies.price.runs import PriceRun, measure_price_runs
-from studies.price.trials import load_trials, tabulate_settings
-from studies.running import StudyArgs
+from studies.price.runs import BUTTON_COUNTS, CONTESTANTS, PAIRS, PriceRun
 from studies.statistics import compute_restricted_mean
-from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_short, make_table
 from studies.titles import find_title
 
-__all__ = ["LINES", "Args", "analyse", "compare_pair", "draw_price", "measure"]
+__all__ = ["LINES", "analyse", "compare_pair", "draw_price"]
 
 LINES = (PriceRun,)
 _CHANCE = "random"
 _FLAT, _OPTIONS = next(iter(PAIRS.items()))
-
-
-@dataclasses.dataclass(frozen=True)
-class Args(StudyArgs):
-    """Options of the study."""
-
-    replicates: int = 20
-    """Rooms of each size, each with a training seed of its own."""
-    first_replicate: int = 0
-    """Lowest replicate; those from 200 on are fresh. Give `--docs` too, to keep them apart."""
-    minutes: float | None = None
-    """Begin no run after so many minutes."""
-    agents: tuple[str, ...] = ()
-    """Labels of the learners to run; all by default."""
-    sizes: tuple[int, ...] = BUTTON_COUNTS
-    """Numbers of buttons to run."""
-
-
-def measure(study: Study, args: Args, store: Store) -> None:
-    """Make the runs that are missing."""
-    known = {contestant.label for contestant in CONTESTANTS}
-    for label in args.agents:
-        if label not in known:
-            raise UnknownNameError("learner of this study", label, known)
-    chosen = [dataclasses.replace(contestant, sizes=tuple(size for size in contestant.sizes if size in args.sizes))
-              for contestant in CONTESTANTS if contestant.label in (args.agents or known)]
-    for made in measure_price_runs(store, args.first_replicate, args.replicates, args.minutes, chosen):
-        print(f"{made.agent}, {made.buttons} buttons, replicate {made.replicate}: efficient at {made.efficient_at}")
 
 
 def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
@@ -75,7 +43,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
     ready = {ratio.buttons: (ratio.ready, ratio.ready + len(ratio.logs)) for ratio in prices["efficient"]}
     numbers = SimpleNamespace(
         minutes=sum(run.seconds for run in runs) / 60, runs=len(runs),
-        trials=len(load_trials()),
+        trials=len(read_toml(study.folder / "trials.toml", "record of trials")["trials"]),
         factors={key: {ratio.buttons: ratio.middle for ratio in own if not ratio.is_short}
                  for key, own in (prices | plain).items()},
         walk={ratio.buttons: ratio.middle for ratio in walk}, ready=ready,
@@ -85,7 +53,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
         "to_efficiency": _tabulate(runs, "Primitives to an efficiency of 0.9", partial(_describe_cost, cost=COSTS[0])),
         "to_escape": _tabulate(runs, "Primitives to the first escape", partial(_describe_cost, cost=COSTS[1])),
         "last": _tabulate(runs, "Last evaluation", _describe_end), "price_budgets": _tabulate_budgets(runs),
-        "price_settings": tabulate_settings(),
+        "price_settings": _tabulate_settings(),
     }, {"price": partial(draw_price, runs)})
 
 
@@ -127,7 +95,7 @@ def _tabulate_factors(runs: Sequence[PriceRun]) -> str:
 
 
 def _tabulate(runs: Sequence[PriceRun], title: str, describe: Callable[[Sequence[PriceRun]], str]) -> str:
-    labels = dict.fromkeys(contestant.label for contestant in CONTESTANTS if _choose(runs, contestant.label))
+    labels = dict.fromkeys(learner["label"] for learner in CONTESTANTS if _choose(runs, learner["label"]))
     return make_table([title, *BUTTON_COUNTS], [
         [find_title(label), *(describe(own) if (own := _choose(runs, label, size)) else "-" for size in BUTTON_COUNTS)]
         for label in labels])
@@ -147,14 +115,22 @@ def _describe_cost(runs: Sequence[PriceRun], cost: RunCost) -> str:
 def _tabulate_budgets(runs: Sequence[PriceRun]) -> str:
     """Label of each learner, its budgets, how many runs had them, and how often they were evaluated."""
     rows = []
-    for label in dict.fromkeys(contestant.label for contestant in CONTESTANTS):
-        own = [contestant for contestant in CONTESTANTS if contestant.label == label]
+    for label in dict.fromkeys(learner["label"] for learner in CONTESTANTS):
+        own = [learner for learner in CONTESTANTS if learner["label"] == label]
         if budgets := Counter(run.budget for run in _choose(runs, label)):
             parts = [f"{number} of {budget:,}" for budget, number in sorted(budgets.items())]
-            spans = join_words([f"{span:,}" for span in sorted({contestant.eval_every for contestant in own})], "or")
-            rows.append([find_title(label), f"`{label}`", max(own[0].streams, 1), ", ".join(parts), spans])
+            spans = join_words([f"{span:,}" for span in sorted({learner["eval_every"] for learner in own})], "or")
+            rows.append([find_title(label), f"`{label}`", own[0].get("streams", 1), ", ".join(parts), spans])
     return make_table(["learner", "label", "copies of the room", "runs by budget in primitives", "evaluated every"],
                       rows)
+
+
+def _tabulate_settings() -> str:
+    """Settings of the learners that differ from the defaults."""
+    used = {learner["label"]: learner.get("settings", {}) for learner in CONTESTANTS}
+    return make_table(["learner", "settings"], [
+        [find_title(label), ", ".join(f"`{name} = {json.dumps(value)}`" for name, value in settings.items())]
+        for label, settings in used.items() if settings])
 
 
 # --- figure ----------------------------------------------------------------------------------

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from benchmarks.optima import compute_price
 from hrl_escape.agents.algorithms.task_hierarchies.feudal_rl import DIRECTIONS
 from hrl_escape.agents.hierarchy.machine import Do, MachineRun
 from hrl_escape.agents.hierarchy.task import Seen
@@ -23,7 +24,6 @@ from hrl_escape.hierarchies import HierarchyEnv, HierarchyVectorEnv, synthesise
 from hrl_escape.hierarchies.situation import Situations
 from hrl_escape.planning import best_known_return
 from hrl_escape.planning.goals import PressGoal
-from studies.optima import compute_price
 from tests.covering import cover
 from tests.hierarchies.tiny import TINY, enumerate_tiny
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from benchmarks.optima import TabularModel, enumerate_model
 from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.puzzles.base import Panels, Place
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.hierarchies import HierarchyEnv
-from studies.optima import TabularModel, enumerate_model
 
 TINY = RoomConfig(
     name="tiny", room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=0.4, turn_step_deg=90),

@@ -1,46 +1,21 @@
-"""Primitives against options: ratios that are known from one side, and runs that end when they are efficient."""
+"""Primitives against options: ratios that are known from one side."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hrl_escape.env.config import ShapeConfig
-from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.options.best_with_options import find_best_with_options
-from hrl_escape.planning.best_known import find_best_known
+from hrl_escape.files import read_toml
 from studies.pages.do_options_help import RULES
 from studies.price.analysis import compare_pair
-from studies.price.contestants import (
-    BUTTON_COUNTS,
-    CONTESTANTS,
-    EFFICIENT,
-    FRESH,
-    PAIRS,
-    Contestant,
-    make_chain_room,
-    sample_replicate_room,
-)
 from studies.price.ratios import COSTS, Middle, compare_costs, correct_prices, find_middle, measure_growth
-from studies.price.runs import (
-    PriceRun,
-    compute_run_key,
-    list_price_runs,
-    measure_price_runs,
-    run_contestant,
-)
-from studies.price.trials import load_trials
+from studies.price.runs import BUTTON_COUNTS, CONTESTANTS, PAIRS, PriceRun
 from studies.statistics import compute_sign_flip_p
-from studies.store import Store
 from studies.study import find_study
-
-QUICK = Contestant("options", "smdp-q-learning", 3_000, 250, (1,))
 
 
 def make_line(agent: str, buttons: int, replicate: int, efficient_at: float | None, budget: int = 100_000) -> PriceRun:
@@ -202,92 +177,9 @@ def test_the_page_s_claim_breaks_where_options_cost_as_much():
     assert "| DQN over options | 10 of 10; " in found.tables["to_efficiency"]
 
 
-# --- rooms and runs ------------------------------------------------------------------------
-
-
-@pytest.mark.nightly
-def test_rooms_are_relabelled_chains_in_which_presses_can_be_efficient():
-    orders = set()
-    for buttons in BUTTON_COUNTS:
-        room = sample_replicate_room(buttons, 0)
-        ends = list(zip(*room.puzzle.edges, strict=True)) or [(), ()]
-        assert len(room.targets) == buttons == len(room.puzzle.edges) + 1
-        assert all(len(set(end)) == len(end) for end in ends)
-        orders.add(room.puzzle.goal_targets)
-    assert len(orders) > 1, "the numbers tell nothing of the order"
-    efficiencies = []
-    for room in (generate(make_chain_room(4), 4), sample_replicate_room(4, 0)):
-        env = EscapeRoomEnv(instance=room)
-        env.reset(seed=0)
-        fewest = find_best_known(room, env.get_state()).primitives
-        presses = find_best_with_options(room, env.get_state(), "press").primitives
-        assert fewest is not None and presses is not None
-        efficiencies.append(fewest / presses)
-    assert efficiencies[0] < EFFICIENT <= efficiencies[1], "the first is left out"
-    assert [sample_replicate_room(4, number).seed for number in range(4)] == [1, 2, 3, 5]
-
-
 def test_every_flat_learner_has_its_control_and_trials_are_in_other_rooms():
-    labels = {contestant.label: contestant for contestant in CONTESTANTS}
-    for flat, options in PAIRS.items():
-        assert labels[options].agent == f"smdp-{labels[flat].agent}"
-    used = {sample_replicate_room(buttons, number).seed for buttons in BUTTON_COUNTS for number in range(10)}
-    assert not used & {trial.room for trial in load_trials()}
-    planned = list(list_price_runs(0, 10))
-    assert len({(contestant.label, *rest) for contestant, *rest in planned}) == len(planned)
-
-
-@pytest.mark.parametrize("series", [0, FRESH])
-def test_a_learner_of_few_replicates_has_the_first_ones_wherever_one_begins(series: int):
-    few = dataclasses.replace(QUICK, replicates=4)
-    assert [replicate for _, _, replicate in list_price_runs(series, 10, (few,))] == [*range(series, series + 4)]
-    assert [replicate for _, _, replicate in list_price_runs(series + 2, 10, (few,))] == [series + 2, series + 3]
-    assert not list(list_price_runs(series + 4, 6, (few,)))
-
-
-def test_a_run_over_presses_ends_with_two_efficient_evaluations(tmp_path: Path):
-    run = run_contestant(QUICK, sample_replicate_room(1, 0), 0)
-    assert run.efficient_at is not None and run.efficiency >= EFFICIENT
-    assert run.efficient_at < run.primitives < QUICK.budget
-    assert run.first_escape is not None and run.first_escape <= run.efficient_at
-    assert run.buttons == 1 and 0 < run.escapes <= run.episodes
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("streams", [0, 4])
-def test_a_run_over_primitives_is_given_up_at_its_budget(streams: int):
-    few = {"rollout": 256, "epochs": 1}
-    flat = Contestant("ppo", "ppo", 2_048, 1_024, (1,), few, streams=streams)
-    run = run_contestant(flat, sample_replicate_room(1, 0), 0)
-    assert run.efficient_at is None and run.primitives == 2_048 and run.efficiency == 0
-    assert (run.first_escape is not None) == (run.escapes > 0)
-
-
-@pytest.mark.slow  # ten seconds: pytest -m slow tests/studies/test_price.py
-def test_a_run_in_hindsight_ends_with_two_efficient_evaluations_too():
-    small = dataclasses.replace(make_chain_room(1), room=ShapeConfig(width=8, depth=8))
-    learner = Contestant("hindsight", "dqn", 12_000, 250, (1,), {"hindsight_goals": 4, "learning_rate": 1e-3,
-                                                                 "hidden": (32, 32)})
-    run = run_contestant(learner, generate(small, 0), 0)
-    assert run.efficient_at is not None and run.efficiency >= EFFICIENT
-    assert run.efficient_at < run.primitives < learner.budget
-    assert run.first_escape is not None and run.first_escape < run.efficient_at
-
-
-def test_a_setting_at_its_default_leaves_the_runs_that_are_there():
-    room = sample_replicate_room(1, 0)
-    named = dataclasses.replace(QUICK, settings={"gamma": 0.99, "bonus_weight": 0.0})
-    assert compute_run_key(named, room, 0) == compute_run_key(QUICK, room, 0)
-    other = dataclasses.replace(QUICK, settings={"gamma": 0.9})
-    assert compute_run_key(other, room, 0) != compute_run_key(QUICK, room, 0)
-
-
-def test_a_study_goes_on_where_it_was_stopped_and_makes_changed_runs_anew(tmp_path: Path):
-    store = Store(tmp_path / "price.jsonl", (PriceRun,))
-    assert not list(measure_price_runs(store, 0, 2, minutes=0, contestants=[QUICK]))
-    first = next(measure_price_runs(store, 0, 2, contestants=[QUICK]))
-    assert store.load() == [first]
-    assert [run.replicate for run in measure_price_runs(store, 0, 2, contestants=[QUICK])] == [1]
-    assert not list(measure_price_runs(store, 0, 2, contestants=[dataclasses.replace(QUICK, replicates=1)]))
-    other = dataclasses.replace(QUICK, settings={"gamma": 0.95})
-    assert [run.replicate for run in measure_price_runs(store, 0, 2, contestants=[other])] == [0, 1]
+    study = find_study("price")
+    agents = {learner["label"]: learner["agent"] for learner in CONTESTANTS}
+    assert all(agents[options] == f"smdp-{agents[flat]}" for flat, options in PAIRS.items())
+    trials = read_toml(study.folder / "trials.toml", "record of trials")["trials"]
+    assert trials and not {trial["room"] for trial in trials} & set(range(30)), "rooms of runs"

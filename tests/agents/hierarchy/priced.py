@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.optima import HierarchyPrice, TabularModel, compute_price
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.hierarchies import synthesise
-from studies.optima import HierarchyPrice, TabularModel, compute_price
 from tests.agents.hierarchy import taxi_program
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_walks
 from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.optima import compute_price
 from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.task_hierarchies.hamq import Hamq
 from hrl_escape.agents.hierarchy.machine import MachineRun, choose, do, machine
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.errors import StepContractError
-from studies.optima import compute_price
 from tests.agents.hierarchy.priced import make_tabular_model
 from tests.agents.hierarchy.taxi_program import drive, read
 from tests.agents.hierarchy.taxi_runs import DYNAMICS, compare_ten_seeds

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.optima import TabularModel, compute_price, enumerate_model, read_model
 from hrl_escape.agents.hierarchy.goal_space import make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.task_graph import flat, maxq
 from hrl_escape.errors import UnsupportedError
-from studies.optima import TabularModel, compute_price, enumerate_model, read_model
 from tests.agents.hierarchy import taxi_program
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_nested_walks, make_walks
 from tests.agents.hierarchy.priced import AWAY, make_tabular_model, make_traveller
