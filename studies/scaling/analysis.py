@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -18,7 +19,6 @@ from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from studies.figures import Theme, make_figure, write_label
 from studies.running import GridArgs
-from studies.scaling.followed_runs import FollowedRuns, count_spared, follow_runs
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import (
     AGENTS,
@@ -34,12 +34,13 @@ from studies.scaling.rounds import (
     STUDY_PARTS,
     run_scaling,
 )
-from studies.statistics import Difference, compare_signs
+from studies.statistics import Difference, compare_signs, compute_restricted_mean
 from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
-__all__ = ["LINES", "Args", "BarRuns", "analyse", "compare_given", "measure", "summarise_bar"]
+__all__ = ["LINES", "Args", "BarRuns", "FollowedRuns", "analyse", "compare_given", "follow", "measure",
+           "summarise_bar"]
 
 LINES = (ScalingRun,)
 _KNOWN = (*AGENTS, *(spec.label for spec in GIVEN))
@@ -79,11 +80,9 @@ def measure(study: Study, args: Args, store: Store) -> None:
         if run.budget != args.primitives:
             raise ConfigError("primitives", args.primitives, f"the runs in {store.path}, which new ones join, have "
                               f"{run.budget}. Choose another --docs")
-    made = run_scaling(args.out / study.name, args.runs, args.primitives, args.workers, args.minutes,
-                       first_seed=args.first_seed, parts=args.parts, agents=args.agents)
-    if not there and not made:
+    run_scaling(store, args)
+    if not store.load():
         raise ComparisonError(f"no run is finished after {args.minutes:g} minutes: raise --minutes")
-    store.add(made)
 
 
 class BarRuns(NamedTuple):
@@ -121,6 +120,36 @@ def wait_for_graph(run: ScalingRun) -> int:
     return min(run.primitives, run.budget) if run.near_best is not None and _has_graph(run) else run.budget
 
 
+@dataclasses.dataclass(frozen=True)
+class FollowedRuns:
+    """Times of an event over planned runs, censored at the budget.
+
+    Attributes:
+        times: of each run, primitives.
+        observed: whether the event came, run by run.
+        budget: of a run, primitives.
+    """
+
+    times: tuple[int, ...]
+    observed: tuple[bool, ...]
+    budget: int
+
+    @property
+    def restricted_mean(self) -> float:
+        """Mean primitives to the event, at most the budget: the area under the Kaplan-Meier curve."""
+        return compute_restricted_mean(self.times, self.observed, self.budget)
+
+    @property
+    def median(self) -> float | None:
+        """Time until the Kaplan-Meier curve falls to one half; None if it does not within the budget."""
+        runs = zip(self.times, self.observed, strict=True)
+        middle = sorted(time if seen else math.inf for time, seen in runs)[(len(self.times) - 1) // 2]
+        return float(middle) if math.isfinite(middle) else None
+
+    def __str__(self) -> str:
+        return f"{sum(self.observed)} of {len(self.times)}; {self.restricted_mean:,.0f}"
+
+
 def compare_given(results: Sequence[ScalingRun]) -> dict[tuple[str, str], Difference]:
     """Compare learners that are given something else with the one that is given what holds, seed by seed.
 
@@ -155,7 +184,7 @@ def analyse(study: Study, lines: Sequence[ScalingRun]) -> Findings:
         raise ComparisonError("no run of this study's agents is finished: run it with the part agents")
     budget = max(run.budget for run in results)
     escapes = {(rule, agent, size): followed for rule, agent, size in itertools.product(RULES, AGENTS, SIZES)
-               if (followed := _follow(results, rule, agent, size, budget)) is not None}
+               if (followed := follow(results, rule, agent, size, budget)) is not None}
     bar = {task: [summarise_bar([run for run in own if (run.task, run.agent) == (task, BAR_AGENT)][:BAR_RUNS])
                   for own in (everything, fresh)] for task in BAR}
     given, costs = _count_graphs(everything), compare_given(everything)
@@ -175,9 +204,18 @@ def analyse(study: Study, lines: Sequence[ScalingRun]) -> Findings:
         {"scaling": lambda theme: draw(escapes, theme)})
 
 
-def _follow(results: Sequence[ScalingRun], rule: str, agent: str, size: int, budget: int) -> FollowedRuns | None:
-    own = [run for run in results if (run.rule, run.agent, run.buttons) == (rule, agent, size)]
-    return follow_runs(own, count_spared(results, rule, agent, size), budget, lambda run: run.first_escape)
+def follow(results: Sequence[ScalingRun], rule: str, agent: str, size: int, budget: int) -> FollowedRuns | None:
+    """First escapes of an agent's planned runs with some number of buttons; None where no run was planned.
+
+    A run that was not made because the agent never escaped with fewer buttons (same graph and seed) counts as one that
+    fails. A run that was not begun because the time was up says nothing and is left out.
+    """
+    own = [run for run in results if (run.rule, run.agent) == (rule, agent)]
+    made = {(run.graph, run.run): run.first_escape for run in own if run.buttons == size}
+    failed = {(run.graph, run.run) for run in own if run.buttons < size and run.first_escape is None}
+    ends = [*made.values(), *[None] * len(failed - made.keys())]
+    return FollowedRuns(tuple(budget if end is None else min(end, budget) for end in ends),
+                        tuple(end is not None for end in ends), budget) if ends else None
 
 
 def _count_graphs(results: Sequence[ScalingRun]) -> dict[tuple[str, str], tuple[int, int]]:

@@ -1,38 +1,20 @@
 """The scaling study: runs in real rooms, studies that go on, and rules with data of other truths."""
 
 import dataclasses
-import os
-import signal
-import subprocess
-import sys
-import time
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from studies.__main__ import main
 from studies.pages.scaling import RULES
 from studies.scaling import rounds as scaling
-from studies.scaling.analysis import analyse, compare_given
-from studies.scaling.followed_runs import count_spared, follow_runs
+from studies.scaling.analysis import Args, analyse, compare_given, follow, measure
 from studies.scaling.results import RoomKind, ScalingRun
-from studies.scaling.rounds import (
-    AGENTS,
-    BAR,
-    GIVEN,
-    GIVEN_TASKS,
-    HOLDS,
-    Round,
-    choose_options,
-    get_run_folder,
-    make_room,
-    run_round,
-    run_scaling,
-)
+from studies.scaling.rounds import AGENTS, BAR, GIVEN, GIVEN_TASKS, HOLDS, choose_options, make_room, run_once
 from studies.store import Store
 from studies.study import find_study
 from tests.studies.lines import load, save
@@ -46,12 +28,10 @@ def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, g
                       depth=3, structure=structure)
 
 
-def make_round(tasks: tuple[RoomKind, ...], agent: str, seed: int) -> Round:
-    return Round(tasks, (choose_options(agent),), seed)
-
-
-def run_rounds(out: Path, primitives: int, *rounds: Round, checkpoint_seconds: float = 30.0) -> list[ScalingRun]:
-    return [run for part in rounds for run in run_round(part, out, primitives, checkpoint_seconds=checkpoint_seconds)]
+def run_here(out: Path, task: RoomKind, agent: str, seed: int, primitives: int) -> ScalingRun:
+    run = run_once(task, choose_options(agent), seed, primitives, out, math.inf)
+    assert run is not None
+    return run
 
 
 def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
@@ -60,8 +40,8 @@ def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
 
 @pytest.mark.slow
 def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_path):
-    tasks = RoomKind("chain", 4, "ignore"), RoomKind("chain", 4, "reset")
-    for run in run_rounds(tmp_path, 4_000, make_round(tasks, "smdp-factored-r-max", 0)):
+    for rule in ("ignore", "reset"):
+        run = run_here(tmp_path, RoomKind("chain", 4, rule), "smdp-factored-r-max", 0, 4_000)
         assert run.first_escape is not None and run.near_best is not None
         assert run.first_escape <= run.near_best < run.primitives < 4_000, "it stops once the room is solved"
         assert run.edges == 3 and run.depth == 3
@@ -74,107 +54,38 @@ def test_a_run_gives_the_published_numbers(tmp_path):
     published = Store(find_study("scaling").folder / "raw.jsonl", (ScalingRun,)).load()
     chosen = [run for run in published if (run.task, run.run) == (RoomKind("chain", 4, "reset"), 0)
               and run.agent in ("smdp-factored-r-max", "random-options")]
-    rounds = [make_round((run.task,), run.agent, run.run) for run in chosen]
-    assert len(rounds) == 2
-    assert forget_time(run_rounds(tmp_path, 20_000, *rounds)) == forget_time(chosen)
-
-
-def test_kinds_that_are_one_room_share_its_run(tmp_path):
-    """Two buttons have one edge at most, so that families of graphs coincide."""
-    tasks = tuple(RoomKind(graph, 2, "ignore") for graph in scaling.GRAPHS)
-    round_ = make_round(tasks, "random-options", 0)
-    assert len({room.id for room in round_.rooms.values()}) < len(tasks)
-    runs = run_rounds(tmp_path, 60, round_)
-    assert sorted(run.task for run in runs) == sorted(tasks)
-    rooms = {room.id for room in round_.rooms.values()}
-    assert len({(run.room, run.primitives, run.first_escape) for run in runs}) == len(rooms)
+    assert len(chosen) == 2
+    again = [run_here(tmp_path, run.task, run.agent, run.run, 20_000) for run in chosen]
+    assert forget_time(again) == forget_time(chosen)
 
 
 @pytest.mark.slow
 def test_every_agent_runs(tmp_path):
-    everybody = Round((RoomKind("chain", 2, "ignore"),), tuple(map(choose_options, AGENTS)), 0)
-    runs = run_rounds(tmp_path, 60, everybody)
-    assert [run.agent for run in runs] == list(AGENTS)
-    assert all(run.primitives >= 60 or run.first_escape is not None for run in runs)
-
-
-@pytest.mark.slow
-def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
-    task, agent, seed = RoomKind("chain", 4, "reset"), "smdp-factored-r-max", 0
-    script = ("import sys\n"
-              "from tests.studies.test_scaling import RoomKind, make_round, run_rounds\n"
-              "from pathlib import Path\n"
-              "if __name__ == '__main__':\n"
-              f"    round_ = make_round((RoomKind('chain', 4, 'reset'),), {agent!r}, {seed})\n"
-              "    run_rounds(Path(sys.argv[1]), 4_000, round_,\n"
-              "               checkpoint_seconds=0.0)\n")
-    (tmp_path / "study.py").write_text(script)
-    out, rng = tmp_path / "killed", np.random.default_rng(2)
-    for _ in range(2):
-        before = count_log_bytes(out)
-        process = subprocess.Popen([sys.executable, str(tmp_path / "study.py"), str(out)],
-                                   env=add_tests_to_path(), stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 600
-        while process.poll() is None and count_log_bytes(out) == before and time.monotonic() < deadline:
-            time.sleep(0.02)
-        time.sleep(rng.uniform(0.0, 0.3))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    alone = run_rounds(tmp_path / "alone", 4_000, make_round((task,), agent, seed))
-    assert forget_time(run_rounds(out, 4_000, make_round((task,), agent, seed))) == forget_time(alone)
-
-
-def count_log_bytes(out: Path) -> int:
-    return sum(log.stat().st_size for log in out.glob("*/log.jsonl"))
-
-
-def add_tests_to_path() -> dict[str, str]:
-    return os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
-
-
-PARTS = ("bar", "agents")
+    for agent in AGENTS:
+        run = run_here(tmp_path, RoomKind("chain", 2, "ignore"), agent, 0, 60)
+        assert run.primitives >= 60 or run.first_escape is not None
 
 
 @pytest.fixture
 def small_study(monkeypatch):
-    for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2, 4)), ("BAR_RUNS", 0),
-                        ("AGENTS", ("smdp-r-max", "smdp-q-learning"))):
+    for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2, 4)), ("BAR_RUNS", 0)):
         monkeypatch.setattr(scaling, name, value)
 
 
 @pytest.mark.nightly
 def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, small_study):
-    def call(minutes=5.0):
-        return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, parts=PARTS))
-
-    first = call()
+    study, store = find_study("scaling"), Store(tmp_path / "scaling.jsonl", (ScalingRun,))
+    args = Args(out=tmp_path, workers=1, runs=1, primitives=60, parts=("bar", "agents"),
+                agents=("smdp-r-max", "smdp-q-learning"))
+    with pytest.raises(ComparisonError, match="no run is finished after 0 minutes"):
+        measure(study, dataclasses.replace(args, minutes=0.0), store)
+    measure(study, args, store)
+    first = store.load()
     assert [run.buttons for run in first] == [2, 2], "60 primitives are too few, so there is no run with 4 buttons"
-    results = sorted(tmp_path.glob("*/result.json"))
-    stamps = [path.stat().st_mtime_ns for path in results]
-    results[0].unlink()
-    assert call() == first
-    assert results[1].stat().st_mtime_ns == stamps[1], "finished runs are kept"
-
-
-@pytest.mark.nightly
-def test_no_run_begins_after_the_time_is_up_and_finished_ones_count(tmp_path, small_study):
-    assert run_scaling(tmp_path, 1, 60, 1, 0.0, parts=PARTS) == []
-    finished = run_scaling(tmp_path, 1, 60, 1, 5.0, parts=PARTS)
-    assert run_scaling(tmp_path, 1, 60, 1, 0.0, parts=PARTS) == finished
-
-
-def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, monkeypatch):
-    monkeypatch.setattr(scaling, "AGENTS", ("smdp-dreamer",))
-    with pytest.raises(UnknownNameError, match="smdp-dreamer"):
-        run_scaling(tmp_path, 1, 60, 1, 5.0, parts=PARTS)
-    monkeypatch.undo()
-    task = RoomKind("chain", 2, "ignore")
-    round_ = make_round((task,), "smdp-r-max", 0)
-    folder = get_run_folder(tmp_path, round_.rooms[task], round_.agents[0], 0)
-    folder.mkdir(parents=True)
-    (folder / "checkpoint.npz").write_bytes(b"no checkpoint")
-    with pytest.raises(ComparisonError, match="smdp-r-max in RoomKind.*failed: .*checkpoint"):
-        run_rounds(tmp_path, 60, round_)
+    store.path.write_text("".join(store.path.read_text().splitlines(keepends=True)[:-1]))
+    kept, = store.load()
+    measure(study, args, store)
+    assert forget_time(store.load()) == forget_time(first) and kept in store.load(), "finished runs are kept"
 
 
 def test_failures_count_where_they_were_not_tried_again():
@@ -185,22 +96,6 @@ def test_failures_count_where_they_were_not_tried_again():
     assert str(escapes["ignore", "random-options", 20]) == "0 of 1; 20,000"
     assert ("ignore", "smdp-factored-r-max", 15) not in escapes
     assert find(*results[:0:-1]).scaling.escapes == escapes, "the order of lines does not matter"
-
-
-@pytest.mark.nightly
-def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkeypatch):
-    """A repeated run takes the place of its line; all other lines stay."""
-    for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2,))):
-        monkeypatch.setattr(scaling, name, value)
-    kept = [dataclasses.replace(run, budget=60) for run in (make_result(buttons=20), make_result(GIVEN[1].label))]
-    old = dataclasses.replace(make_result("smdp-r-max", 2, graph="chain"), budget=60, room="old")
-    other = dataclasses.replace(old, agent="smdp-q-learning")
-    save("scaling", [*kept, old, other], tmp_path)
-    call = ["scaling", "--docs", str(tmp_path), "--out", str(tmp_path), "--runs", "1", "--workers", "1"]
-    assert main([*call, "--primitives", "60", "--parts", "agents", "--agents", "smdp-r-max"]) == 0
-    found = {run.place: run for run in load("scaling", tmp_path)}
-    assert len(found) == 4 and all(found[run.place] == run for run in (*kept, other))
-    assert found[old.place].room != "old" and found[old.place].budget == 60
 
 
 def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_runs(tmp_path, capsys):
@@ -218,22 +113,16 @@ def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_r
 
 def test_failures_stay_in_medians_and_means():
     """Three of four escape: by hand, the curve is 1, 3/4, 1/2, 1/4 from 0, 100, 300, 500 on, and stays there."""
-    own = [make_result(first=first) for first in (100, 300, 500)]
-    followed = follow_runs(own, 1, 1_000, lambda run: run.first_escape)
+    own = [make_result(run=run, first=first) for run, first in enumerate((100, 300, 500))]
+    fewer = [make_result(buttons=6, run=run, first=None) for run in (3, 4)]
+    followed = follow([*own, fewer[0]], "ignore", own[0].agent, 10, 1_000)
     assert followed is not None and followed.median == 300
     assert followed.restricted_mean == pytest.approx(100 + 0.75 * 200 + 0.5 * 200 + 0.25 * 500)
     assert str(followed) == "3 of 4; 475"
-    hopeless = follow_runs(own[:1], 2, 1_000, lambda run: run.first_escape)
+    hopeless = follow([own[0], *fewer], "ignore", own[0].agent, 10, 1_000)
     assert hopeless is not None and hopeless.median is None
-    assert follow_runs([], 0, 1_000, lambda run: run.first_escape) is None
-
-
-def test_runs_spared_by_failures_are_told_from_those_not_begun():
-    failed, escaped = make_result(buttons=6, first=None), make_result(buttons=6, run=1)
-    results = [failed, escaped, make_result(buttons=4)]
-    assert count_spared(results, "ignore", failed.agent, 10) == 1, "run 1 escaped: time stopped it"
-    assert count_spared(results, "ignore", failed.agent, 6) == 0
-    assert count_spared(results, "reset", failed.agent, 10) == 0
+    assert follow(own, "ignore", own[0].agent, 20, 1_000) is None, "those that escaped were stopped by the time"
+    assert follow(fewer, "reset", own[0].agent, 10, 1_000) is None
 
 
 def test_what_structure_learners_are_given_is_what_the_labels_say():
