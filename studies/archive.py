@@ -1,8 +1,7 @@
 """Archive exploration of one room: return to a cell, explore from it (Go-Explore's first phase, Ecoffet et al. 2021).
 
 A cell is a rounded pose and what is lit; the archive holds the shortest known way to each, the whole state at its end,
-and how often exploration began there since that way was found. What it has learned is the shortest escape it knows: its
-moves, played from the start without looking. That is a policy only where moves never err.
+and how often exploration began there since that way was found. It ends with the first escape.
 """
 
 from __future__ import annotations
@@ -45,16 +44,17 @@ class Exploration(NamedTuple):
     """Result of exploring a room.
 
     Attributes:
-        primitives: run in all, without evaluations.
-        first_escape: primitives at its end, or None without one.
-        lengths: (primitives, length of the shortest known escape or None) at each evaluation.
-        moves: of the shortest escape.
+        primitives: run in all.
+        moves: of the first escape, from the start; empty without one.
     """
 
     primitives: int
-    first_escape: int | None
-    lengths: tuple[tuple[int, int | None], ...]
     moves: tuple[int, ...]
+
+    @property
+    def first_escape(self) -> int | None:
+        """Primitives at its end, or None without one."""
+        return self.primitives if self.moves else None
 
 
 class _Archive:
@@ -85,25 +85,19 @@ class _Archive:
         return self.ways[number]
 
 
-def explore(env: Any, settings: ArchiveSettings, seed: int, budget: int, eval_every: int, enough: int = 0,
-            until_escape: bool = False) -> Exploration:
-    """Explore a room until the budget is spent, or what is known is enough at two evaluations in a row.
+def explore(env: Any, settings: ArchiveSettings, seed: int, budget: int) -> Exploration:
+    """Explore a room until the first escape, or until the budget is spent.
 
     Args:
         env: `EscapeRoom` without noise, whose episodes begin in one state.
         settings: of the archive.
         seed: fixes the exploration.
         budget: primitives.
-        eval_every: primitives between evaluations.
-        enough: length of an escape that is.
-        until_escape: end with the first escape.
     """
     env.reset(seed=0)
-    start, archive = env.get_state(), _Archive(seed)
+    start, archive, primitives = env.get_state(), _Archive(seed), 0
     archive.add(_find_cell(env, start, settings), 0, None, start)
-    primitives, first, best, shortest = 0, None, None, None
-    lengths: list[tuple[int, int | None]] = [(0, None)]
-    while primitives < budget and not (until_escape and first):
+    while primitives < budget:
         length, moves, state = archive.choose()
         if settings.returns == "state":
             env.set_state(state)
@@ -115,18 +109,12 @@ def explore(env: Any, settings: ArchiveSettings, seed: int, budget: int, eval_ev
         for move in _draw_moves(archive.rng, env.action_space.n, settings):
             _, _, terminated, truncated, info = env.step(move)
             primitives, length, moves = primitives + 1, length + 1, (move, moves)
+            if info["is_success"] and (terminated or truncated):
+                return Exploration(primitives, tuple(_unroll(moves)))
             if terminated or truncated:
-                if info["is_success"]:
-                    first = first or primitives
-                    if shortest is None or length < shortest:
-                        best, shortest = moves, length
                 break
             archive.add(_find_cell(env, env.get_state(), settings), length, moves, env.get_state())
-        if primitives // eval_every > lengths[-1][0] // eval_every or primitives >= budget or (until_escape and first):
-            lengths.append((primitives, shortest))
-            if all(known is not None and known <= enough for _, known in lengths[-2:]):
-                break
-    return Exploration(primitives, first, tuple(lengths), tuple(_unroll(best)))
+    return Exploration(primitives, ())
 
 
 def _find_cell(env: Any, state: RoomState, settings: ArchiveSettings) -> Any:

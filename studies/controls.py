@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.benchmark.inference import ALPHA, compute_interval
+from hrl_escape.benchmark.inference import compute_interval
 from hrl_escape.benchmark.references.registry import SEARCH_BASELINES
 from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.settings import read_record
 from studies.baseline import BaselineRun
-from studies.statistics import compare_strata
+from studies.statistics import Difference, compare_strata
 from studies.study import Findings, Study
-from studies.tables import make_table
+from studies.tables import format_gain, make_table
 
 __all__ = ["Contrast", "Question", "analyse", "chooses_presses", "compare_controls", "compare_with_search",
            "find_repeated_rooms", "group", "list_questions"]
@@ -57,26 +57,20 @@ class Contrast(NamedTuple):
         agent: label.
         other: label of the control, or what it is.
         rooms: mean difference of efficiency in each room.
-        gain: mean of these; above 0 the agent is better.
-        low: lower end of its interval, which leaves out 0 where the test shows a difference.
-        high: upper end.
-        p: two-sided, corrected over the family.
+        found: difference over the rooms; above 0 the agent is better.
         equal: rooms where all runs of both are equal, first escape and efficiency, and some run escapes.
     """
 
     agent: str
     other: str
     rooms: Mapping[str, float]
-    gain: float
-    low: float
-    high: float
-    p: float
+    found: Difference
     equal: tuple[str, ...]
 
     @property
-    def mean(self) -> float:
-        """The gain, as other estimates with an interval name theirs."""
-        return self.gain
+    def gain(self) -> float:
+        """Mean difference of efficiency over the rooms."""
+        return self.found.mean
 
     @property
     def is_same(self) -> bool:
@@ -86,12 +80,12 @@ class Contrast(NamedTuple):
     @property
     def is_better(self) -> bool:
         """The runs show that the agent gains."""
-        return self.p < ALPHA and self.gain > 0
+        return self.found.sign > 0
 
     @property
     def is_worse(self) -> bool:
         """The runs show that the agent loses."""
-        return self.p < ALPHA and self.gain < 0
+        return self.found.sign < 0
 
 
 Cell = Mapping[int, BaselineRun]
@@ -116,20 +110,16 @@ def group(lines: Sequence[BaselineRun]) -> dict[tuple[str, str], dict[int, Basel
     return cells
 
 
-def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> dict[str, tuple[str, int]]:
-    """Rooms where every run equals the run in an earlier room: one task under two names.
-
-    Returns:
-        Room -> the earlier room, and how many runs of at least two agents agree.
-    """
-    found: dict[str, tuple[str, int]] = {}
+def find_repeated_rooms(cells: Cells, rooms: Sequence[str]) -> set[str]:
+    """Rooms where every run of two agents or more equals the run in an earlier room: one task under two names."""
+    found: set[str] = set()
     for first, room in itertools.combinations(rooms, 2):
         both = [(runs[seed], cells[first, agent][seed]) for (place, agent), runs in cells.items() if place == room
                 for seed in runs.keys() & cells.get((first, agent), {}).keys()]
         agents = {one.agent for one, _ in both if one.primitives}
         if len(agents) > 1 and len(both) >= LEAST_RUNS and all(map(_are_equal, *zip(*both, strict=True))) and any(
                 one.first_escape is not None for one, _ in both):
-            found.setdefault(room, (first, len(both)))
+            found.add(room)
     return found
 
 
@@ -180,7 +170,7 @@ def _compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells
             and any(one.first_escape is not None for one, _ in pairs[room]))))
     tests = compare_strata([gains for _, _, gains, _ in asked])
     means = [{room: float(own.mean()) for room, own in zip(rooms, gains, strict=True)} for _, _, gains, _ in asked]
-    return [Contrast(agent, other, mean, *test, equal)
+    return [Contrast(agent, other, mean, test, equal)
             for (agent, other, _, equal), mean, test in zip(asked, means, tests, strict=True)]
 
 
@@ -209,7 +199,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
     beyond = compare_with_search(cells, rooms, agents)
     learners = [agent for agent in agents if AgentSpec.parse(agent).learns]
     numbers = SimpleNamespace(
-        budget=budget, rooms=len(rooms), runs=1 + max(line.seed for line in lines), repeated=repeated,
+        budget=budget, rooms=len(rooms), runs=1 + max(line.seed for line in lines),
         questions={question.heading: {each.agent: each for each in own}
                    for question, own in zip(questions, contrasts, strict=True)},
         beyond={each.agent: each for each in beyond},
@@ -228,10 +218,9 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
 
 def _describe_contrast(contrast: Contrast) -> list[str]:
     """Cells of a table: both agents, the difference (bold where it is significant) and the difference in each room."""
-    gain = f"{contrast.gain:+.2f} ({contrast.low:+.2f} to {contrast.high:+.2f})"
     other = AgentSpec.parse(contrast.other).title if " " not in contrast.other else contrast.other
     return [AgentSpec.parse(contrast.agent).title, other,
-            f"**{gain}**" if contrast.is_better or contrast.is_worse else "equal runs" if contrast.is_same else gain,
+            "equal runs" if contrast.is_same else format_gain(contrast.found),
             ", ".join(f"{room} {gain:+.2f}" for room, gain in contrast.rooms.items())]
 
 

@@ -1,4 +1,4 @@
-"""Flat agents, their runs, and actions repeated in many copies of a room. Shared by the studies of flat agents."""
+"""Flat agents, their runs, and actions repeated in many copies of a room. Several studies share them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,9 @@ from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.settings import read_record, replace_settings
 from studies.statistics import find_lasting
-from studies.study import Study
 
-__all__ = ["CORNER", "FlatLearner", "FlatRun", "RepeatedStreams", "TENTHS", "count_untrained", "list_learners"]
+__all__ = ["FlatLearner", "FlatRun", "RepeatedStreams", "TENTHS", "count_untrained", "read_learner"]
 
-CORNER = 0.8
-"""Share of the way from the middle to a wall. Robots beyond it along both walls are in a corner: 4 % of the floor."""
 TENTHS = 10
 ARCHIVE = "archive"
 """Name of the learner that is not an agent."""
@@ -36,10 +33,8 @@ class FlatLearner:
         label: in tables.
         agent: name, or `ARCHIVE`.
         settings: fields to change.
-        streams: copies of the room that it learns in at once, compiled; 0 for one ordinary environment.
+        streams: copies of the room that it learns in at once; 0 for one ordinary environment.
         repeat: repetitions of each chosen action, in primitives; only with streams.
-        budget: primitives, where not the study's.
-        sizes: numbers of buttons, where not all of the study's.
     """
 
     label: str
@@ -47,8 +42,6 @@ class FlatLearner:
     settings: dict[str, Any] = field(default_factory=dict)
     streams: int = 64
     repeat: int = 1
-    budget: int | None = None
-    sizes: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -65,7 +58,8 @@ class FlatRun:
             None without one.
         curve: (primitives, efficiency) of each evaluation of the greedy policy.
         escapes: share of training episodes that escaped, in each tenth of the run, or None if none ended.
-        corners: share of the primitives spent in corners, in each tenth; empty of one ordinary environment.
+        corners: share of the primitives in corners (beyond 0.8 of the way from the middle to two walls, 4 % of the
+            floor), in each tenth; empty of one ordinary environment.
         entropy: of the policy that trains, nats, in each tenth; empty where the agent logs none.
         seconds: of processor time.
         key: hash of everything that decides the numbers.
@@ -105,7 +99,7 @@ class FlatRun:
 
 
 class RepeatedStreams:
-    """Many environments that repeat every action for some primitives, and counts of primitives in corners.
+    """Many environments that repeat every action for some primitives.
 
     A decision lasts `repeat` primitives, or to the end of its episode; streams decide at their own pace.
 
@@ -119,13 +113,6 @@ class RepeatedStreams:
         self._env, self._inner, self._repeat = env, VectorManyEnvs(env, gamma), repeat
         self.count, self.gamma = env.num_envs, gamma
         self.observation_space, self.action_space = env.single_observation_space, env.single_action_space
-        room = env.unwrapped.instances[0]
-        self._reach = room.half_width, room.half_depth
-        self.corners: list[float] = []
-        """Share of the streams that were in a corner, primitive by primitive."""
-        self.primitives = 0
-        self.first_escape: int | None = None
-        """Primitives of all streams together when the first of them escaped."""
 
     @property
     def device(self) -> torch.device:
@@ -168,10 +155,6 @@ class RepeatedStreams:
         self._sums[:, asked] = 0.0
         self._begun = torch.where(asked[:, None], self.observation, self._begun)
         done = self._inner.step(self._action)
-        self._watch()
-        self.primitives += int(done.where.sum())
-        if self.first_escape is None and bool((done.success & done.terminated & done.where).any()):
-            self.first_escape = self.primitives
         reward = torch.where(done.where, done.reward, 0.0)
         self._sums += torch.stack((reward, reward * self.gamma ** self._duration.float()))
         self._duration, over = self._duration + done.where.long(), (done.terminated | done.truncated) & done.where
@@ -180,23 +163,15 @@ class RepeatedStreams:
         return done._replace(where=ended, observation=self._begun, action=self._action, reward=self._sums[0].clone(),
                              discounted_reward=self._sums[1].clone(), duration=self._duration.clamp(min=1))
 
-    def _watch(self) -> None:
-        state = self._env.unwrapped.room.state
-        away = [abs(part) >= CORNER * reach for part, reach in zip((state.x, state.y), self._reach, strict=True)]
-        self.corners.append(float((away[0] & away[1]).float().mean()))
-
     def state_dict(self) -> StateTree | None:
-        """Running episodes, decisions and counts, so that an evaluation does not end them."""
+        """Running episodes and decisions, so that an evaluation does not end them."""
         inner = self._inner.state_dict()
         own = {name: getattr(self, f"_{name}") for name in ("left", "action", "duration", "begun", "sums")}
-        seen = {"corners": np.array(self.corners), "primitives": self.primitives, "first_escape": self.first_escape}
-        return None if inner is None else {"inner": inner, **seen, **own}
+        return None if inner is None else {"inner": inner, **own}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Go on where `state_dict` was taken."""
         self._inner.load_state_dict(state["inner"])
-        self.corners = list(state["corners"])
-        self.primitives, self.first_escape = state["primitives"], state["first_escape"]
         for name in ("left", "action", "duration", "begun", "sums"):
             setattr(self, f"_{name}", torch.from_numpy(np.array(state[name])).to(self.device))
 
@@ -213,8 +188,7 @@ def count_untrained(learner: FlatLearner) -> int:
     return max(settings.rollout, settings.rollout_per_env * learner.streams) * learner.repeat
 
 
-def list_learners(study: Study) -> list[FlatLearner]:
-    """A study's learners, in its order."""
+def read_learner(table: Mapping[str, Any], **changes: Any) -> FlatLearner:
+    """A learner from its table in `study.toml`, which may hold more."""
     fields = {field.name for field in dataclasses.fields(FlatLearner)}
-    return [read_record(FlatLearner, {name: value for name, value in table.items() if name in fields})
-            for table in study.data["learners"]]
+    return read_record(FlatLearner, {name: value for name, value in table.items() if name in fields} | changes)

@@ -21,7 +21,7 @@ from studies.baseline import BaselineRun, collect_baselines
 from studies.store import Line, Store
 from studies.study import Findings, Study
 
-__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "analyse", "claim_folder", "get_args", "make_missing", "open_store",
+__all__ = ["NO_TRAINING", "GridArgs", "StudyArgs", "claim_folder", "get_args", "make_missing", "open_store",
            "refuse_failures", "run_study"]
 
 Job = TypeVar("Job", bound=Line)
@@ -105,16 +105,7 @@ def run_study(study: Study, args: Any) -> Findings:
         lines = store.load()
         if not lines:
             raise ComparisonError(f"{store.path} holds no run" + (": leave out --from-raw" if args.from_raw else ""))
-        return analyse(study, lines)
-
-
-def analyse(study: Study, lines: list[Any]) -> Findings:
-    """Analyse lines of a study.
-
-    Raises:
-        ComparisonError: required runs are missing.
-    """
-    return study.analysis.analyse(study, lines)
+        return study.analysis.analyse(study, lines)
 
 
 def measure_grids(study: Study, args: GridArgs, store: Store) -> None:

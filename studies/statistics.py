@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import operator
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
@@ -16,9 +15,10 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.benchmark.inference import ALPHA, LEVEL, compare_pairs, correct_by_holm
 from hrl_escape.benchmark.statistics import LEAST_RUNS, Floats
 
-__all__ = ["Difference", "choose_holm_levels", "compare_signs", "compare_strata", "compute_median_interval",
-           "compute_restricted_mean", "compute_sign_flip_p", "compute_slope", "compute_survival",
-           "correct_by_benjamini_hochberg", "cut_signs", "find_lasting", "list_subset_means"]
+__all__ = ["Difference", "Mean", "choose_holm_levels", "compare_signs", "compare_strata", "compute_mean",
+           "compute_median_interval",
+           "compute_restricted_mean", "compute_sign_flip_p", "compute_slope",
+           "cut_signs", "find_lasting", "list_subset_means"]
 
 MOST_SIGNS = 14
 """Differences whose signs are all tried."""
@@ -48,26 +48,12 @@ def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: floa
         observed: (n,) the event came.
         horizon: where to stop; after the last time the curve stays as it is.
     """
-    ends, waiting = compute_survival(times, observed)
-    inside = ends < horizon
-    edges = np.concatenate([[0.0], ends[inside], [horizon]])
-    return float(np.sum(np.diff(edges) * np.concatenate([[1.0], waiting[inside]])))
-
-
-def compute_survival(times: ArrayLike, observed: ArrayLike) -> tuple[Floats, Floats]:
-    """Kaplan-Meier curve: the share without an event.
-
-    Args:
-        times: (n,) of the event, or until which it was waited for.
-        observed: (n,) the event came.
-
-    Returns:
-        The different times, ascending, and the share from each of them on.
-    """
     at, seen = np.asarray(times, dtype=np.float64), np.asarray(observed, dtype=bool)
     ends = np.unique(at)
     falls = [1 - np.sum(seen & (at == end)) / np.sum(at >= end) for end in ends]
-    return ends, np.array(list(itertools.accumulate(falls, operator.mul)), dtype=np.float64)
+    waiting = np.cumprod([1.0, *falls])
+    inside = np.flatnonzero(ends < horizon)
+    return float(np.sum(np.diff([0.0, *ends[inside], horizon]) * waiting[[0, *inside + 1]]))
 
 
 def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"]) -> float:
@@ -138,6 +124,22 @@ def _list_signs(count: int) -> Floats:
     return signs
 
 
+class Mean(NamedTuple):
+    """Mean with its interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def compute_mean(values: NDArray[np.float64], level: float = LEVEL, least_error: float = 0.0) -> Mean:
+    """Mean with Student's interval; the standard error counts as at least so much."""
+    mean, count = float(np.mean(values)), len(values)
+    error = max(float(stats.sem(values)), least_error) if count > 1 else math.inf
+    reach = error * float(stats.t.ppf((1 + level) / 2, max(count - 1, 1)))
+    return Mean(mean, mean - reach, mean + reach)
+
+
 class Difference(NamedTuple):
     """Two agents compared by pairs of runs.
 
@@ -200,15 +202,6 @@ def find_lasting(curve: Iterable[tuple[int, float]], least: float) -> int | None
     """
     return next((at for (at, value), (_, after) in itertools.pairwise(curve) if min(value, after) >= least - 1e-9),
                 None)
-
-
-def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:
-    """Adjust p-values for the false discovery rate (Benjamini, Hochberg)."""
-    adjusted, least = [0.0] * len(p), 1.0
-    for rank, index in reversed(list(enumerate(sorted(range(len(p)), key=lambda index: p[index]), start=1))):
-        least = min(least, p[index] * len(p) / rank)
-        adjusted[index] = least
-    return adjusted
 
 
 def compute_slope(x: ArrayLike, y: ArrayLike, start: float, end: float) -> float:

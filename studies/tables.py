@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-__all__ = ["format_interval", "format_short", "format_span", "make_table"]
+__all__ = ["format_gain", "format_interval", "format_short", "format_span", "make_table"]
 
 
 def make_table(header: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
@@ -24,6 +24,12 @@ def format_interval(found: Any, form: str = "") -> str:
         form: of each number, as for `format`; by default two significant digits.
     """
     return f"{_format(found.mean, form)} ({format_span(found, form)})"
+
+
+def format_gain(found: Any) -> str:
+    """A `Difference` with its interval, bold where it is significant."""
+    text = format_interval(found, "+.2f")
+    return f"**{text}**" if found.sign else text
 
 
 def format_span(found: Any, form: str = "") -> str:

@@ -42,8 +42,6 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
         runs=len(lines), rungs=rungs, beyond=beyond, more=compare_budgets(cells, group_runs(known), rungs),
         means={agent: {rung: compute_run_efficiency(cells[rung, agent]) for rung in rungs if (rung, agent) in cells}
                for agent in study.data["agents"]},
-        seeds=max((len({line.seed for line in runs}) for (_, agent), runs in cells.items()
-                   if agent in study.data["agents"]), default=0),
         copies=study.data["copies"], episodes=study.data["episodes"]), {
             "budgets": tabulate(cells, rungs), "budgets_labels": tabulate_labels(cells),
             "budgets_beyond": tabulate_beyond(beyond)},

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import NullLocator
 from rich.console import Console
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.agent_env import make_agent_env
@@ -27,7 +27,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
-from studies.figures import Theme, make_figure, write_label
+from studies.figures import Theme, make_figure, mark_counts, write_label
 from studies.running import StudyArgs
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
@@ -83,8 +83,10 @@ class EscapeRun:
 LINES = (EscapeRun,)
 
 
-class FirstEscape:
+class FirstEscape(Stateful):
     """Probe that ends a run with its first escape."""
+
+    STATE = ("is_done",)
 
     def __init__(self) -> None:
         self.is_done = False
@@ -100,14 +102,6 @@ class FirstEscape:
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Look at the episode's end."""
         self.is_done = self.is_done or bool(episode.success)
-
-    def state_dict(self) -> StateTree:
-        """The flag of an escape."""
-        return {"is_done": self.is_done}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Go on where `state_dict` was taken."""
-        self.is_done = bool(state["is_done"])
 
 
 # --- runs ------------------------------------------------------------------------------------
@@ -241,6 +235,6 @@ def draw(sizes: Mapping[str, Mapping[int, Size]], titles: Mapping[str, str], bud
                  ylim=(20, 1.4 * budget))
         axes.set_xticks(ticks := sorted({size for own in sizes.values() for size in own}), list(map(str, ticks)))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        mark_counts(axes.yaxis)
 
     return make_figure(theme, draw_axes)

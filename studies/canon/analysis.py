@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
-from functools import cached_property, partial
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
@@ -31,9 +31,9 @@ from studies.running import NO_TRAINING, StudyArgs, refuse_failures
 from studies.statistics import Difference, compare_strata, find_lasting
 from studies.store import Store
 from studies.study import Findings, Study
-from studies.tables import make_table
+from studies.tables import format_gain, make_table
 
-__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "Standing", "analyse", "choose_candidate", "compare",
+__all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "analyse", "choose_candidate", "compare",
            "list_families", "measure"]
 
 FLAT_FAMILIES = ("planned presses", "structure learned over presses", "task hierarchies, planned low level")
@@ -131,6 +131,11 @@ def list_families(study: Study) -> list[Family]:
     return [Family(**table) for table in study.data["families"]]
 
 
+def list_references(study: Study) -> list[str]:
+    """Agents that learn nothing, in the order of the page."""
+    return [*study.data["chance"], *study.data["search"], *study.data["privileged"]]
+
+
 # --- runs ------------------------------------------------------------------------------------
 
 
@@ -142,7 +147,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
         UnknownNameError: no such kind or agent.
     """
     data, until = study.data, time.monotonic() + 60 * args.minutes
-    references = [*data["chance"], *data["search"], *data["privileged"]]
+    references = list_references(study)
     known = [*references, *(label for family in list_families(study) for label in family.learners)]
     for what, chosen, every in (("agent", args.agents, known), ("kind", args.kinds, list(data["kinds"]))):
         if unknown := [name for name in chosen if name not in every]:
@@ -301,11 +306,6 @@ def compare(couples: Sequence[tuple[str, str, Mapping[str, str]]], cells: Cells)
     return [Contrast(agent, name, test) for (agent, name, _), test in zip(asked, tests, strict=True)]
 
 
-def find_best(agents: Sequence[str], cells: Cells, kinds: Sequence[str]) -> dict[str, str]:
-    """The agent that is most efficient in each kind; the choice among several favours it, so who beats it beats all."""
-    return {kind: max(agents, key=lambda agent, kind=kind: average(cells[kind, agent])) for kind in kinds}
-
-
 def average(runs: Mapping[str, CanonRun]) -> float:
     """Mean efficiency over rooms."""
     return float(np.mean([run.efficiency for run in runs.values()]))
@@ -314,7 +314,6 @@ def average(runs: Mapping[str, CanonRun]) -> float:
 # --- page ------------------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
 class Standing:
     """State of the study: its lines, read.
 
@@ -322,62 +321,37 @@ class Standing:
         study: the study.
         lines: all.
         families: in the order of the page.
+        words: rung -> words on its rooms.
         cells: runs in test rooms with the chosen settings.
-        kinds: rungs where every followed agent was run; empty while the first rung lacks a run.
         lost: learners that are not followed; see `find_lost`.
+        references: agents that learn nothing.
+        learners: all learners.
+        followed: learners that are run in every kind.
+        kinds: rungs where every followed agent was run.
+        rooms: for each kind the most rooms that an agent was run in.
+        best: the most efficient search baseline of each kind; the choice favours it, so who beats it beats all.
+        search: its mean efficiency over the kinds.
+
+    Raises:
+        ComparisonError: the first kind lacks runs.
     """
 
-    study: Study
-    lines: Sequence[CanonRun]
-    families: Sequence[Family]
-    cells: Cells
-    kinds: Sequence[str]
-    lost: Set[str]
-
-    @classmethod
-    def read(cls, study: Study, lines: Sequence[CanonRun]) -> Standing:
-        """Make it of lines."""
-        cells, families = collect_cells(study, lines), list_families(study)
-        found = cls(study, lines, families, cells, (), find_lost(study, cells))
-        needed = [*found.followed, *found.references]
-        kinds = [kind for kind in study.data["kinds"] if all(
-            len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in needed if fits(study, agent, kind))]
-        return dataclasses.replace(found, kinds=kinds if next(iter(study.data["kinds"])) in kinds else ())
-
-    @property
-    def words(self) -> Mapping[str, str]:
-        """Rung -> words on its rooms."""
-        return self.study.data["kinds"]
-
-    @cached_property
-    def references(self) -> list[str]:
-        """Agents that learn nothing."""
-        return [*self.study.data["chance"], *self.study.data["search"], *self.study.data["privileged"]]
-
-    @cached_property
-    def learners(self) -> list[str]:
-        """All learners."""
-        return [label for family in self.families for label in family.learners]
-
-    @cached_property
-    def followed(self) -> list[str]:
-        """Learners that are run in every kind."""
-        return [label for label in self.learners if label not in self.lost]
-
-    @cached_property
-    def rooms(self) -> dict[str, int]:
-        """For each kind the most rooms that an agent was run in."""
-        return {kind: max(len(runs) for (own, _), runs in self.cells.items() if own == kind) for kind in self.kinds}
-
-    @cached_property
-    def best(self) -> dict[str, str]:
-        """The most efficient search baseline of each kind."""
-        return find_best(self.study.data["search"], self.cells, self.kinds)
-
-    @cached_property
-    def search(self) -> float:
-        """Its mean efficiency over the kinds."""
-        return float(np.mean([average(self.cells[kind, agent]) for kind, agent in self.best.items()]))
+    def __init__(self, study: Study, lines: Sequence[CanonRun]) -> None:
+        self.study, self.lines, self.families = study, lines, list_families(study)
+        self.words: Mapping[str, str] = study.data["kinds"]
+        self.cells = cells = collect_cells(study, lines)
+        self.lost, self.references = find_lost(study, cells), list_references(study)
+        self.learners = [label for family in self.families for label in family.learners]
+        self.followed = [label for label in self.learners if label not in self.lost]
+        self.kinds = [kind for kind in self.words if all(
+            len(cells.get((kind, agent), ())) >= LEAST_RUNS for agent in (*self.followed, *self.references)
+            if fits(study, agent, kind))]
+        if (first := next(iter(self.words))) not in self.kinds:
+            raise ComparisonError(f"rooms of {first} lack runs: {LEAST_RUNS} of every agent are needed")
+        self.rooms = {kind: max(len(runs) for (own, _), runs in cells.items() if own == kind) for kind in self.kinds}
+        self.best = {kind: max(study.data["search"], key=lambda agent, kind=kind: average(cells[kind, agent]))
+                     for kind in self.kinds}
+        self.search = float(np.mean([average(cells[kind, agent]) for kind, agent in self.best.items()]))
 
     def average(self, label: str) -> float:
         """Mean efficiency of an agent over the kinds where it can be run."""
@@ -393,10 +367,8 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
     Raises:
         ComparisonError: the first kind lacks runs.
     """
-    found = Standing.read(study, lines)
+    found = Standing(study, lines)
     cells, kinds, words, data = found.cells, found.kinds, found.words, study.data
-    if not kinds:
-        raise ComparisonError(f"rooms of {next(iter(words))} lack runs: {LEAST_RUNS} of every agent are needed")
     given = {label for family in found.families if family.given for label in family.learners}
     bars = {label: {kind: best for kind, best in found.best.items() if fits(study, label, kind)}
             for label in found.followed}
@@ -410,7 +382,7 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
     numbers = SimpleNamespace(
         budget=data["primitives"], kinds=[words[kind] for kind in kinds], rooms=max(found.rooms.values()),
         learners=len(found.learners), episodes=REFERENCE_EPISODES, search=found.search,
-        beyond={each.agent: each.found for each in against}, given={each.agent: each.found for each in given_graph},
+        beyond={each.agent: each.found for each in against},
         controls={each.agent: each.found for each in controls},
         means={label: {kind: average(cells[kind, label]) for kind in kinds if cells.get((kind, label))}
                for label in [*found.references, *found.learners]},
@@ -420,14 +392,15 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
     tables = [f"**{family.name.capitalize()}**{f' (given {family.given})' * bool(family.given)}\n\n" + make_table(
         ["learner", *columns, "against the best search baseline"],
         [[name_learner(label), *(describe_cell(found, kind, label) for kind in kinds),
-          describe_difference(beyond.get(label))] for label in family.learners]) for family in found.families]
+          format_gain(beyond[label]) if label in beyond else ""] for label in family.learners])
+              for family in found.families]
     return Findings(numbers, {
         "canon": "\n\n".join(tables),
         "canon_references": make_table(["agent", *columns], [
             [name_learner(label), *(describe_cell(found, kind, label) for kind in kinds)]
             for label in found.references]),
         "canon_controls": make_table(["learner", "flat control", "difference in efficiency"], [
-            [name_learner(each.agent), name_learner(each.other), describe_difference(each.found)]
+            [name_learner(each.agent), name_learner(each.other), format_gain(each.found)]
             for each in controls]),
         "canon_kinds": make_table(["kind", "rooms"], [[words[kind], f"`{kind}/test#0..{found.rooms[kind]}`"]
                                                       for kind in kinds]),
@@ -442,7 +415,7 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
 
 
 def name_learner(label: str) -> str:
-    """Display name of a learner, with the low level of task hierarchies."""
+    """Display name of a learner."""
     return AgentSpec.parse(label).title
 
 
@@ -464,14 +437,6 @@ def describe_cell(found: Standing, kind: str, label: str) -> str:
     if not runs:
         return ""
     return f"{average(runs):.2f}" + (f" ({len(runs)})" if len(runs) < found.rooms[kind] else "")
-
-
-def describe_difference(found: Difference | None) -> str:
-    """A difference with its interval; bold where it is significant."""
-    if found is None:
-        return ""
-    text = f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
-    return f"**{text}**" if found.sign else text
 
 
 def describe_course(family: Family, label: str, found: Standing) -> Iterator[str]:

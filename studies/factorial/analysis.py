@@ -91,7 +91,6 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Findings:
     shown = {effect.factor for effect in slopes["sarsa"] if effect.is_shown}
     return Findings(
         SimpleNamespace(slopes={name: {effect.factor: effect for effect in own} for name, own in slopes.items()},
-                        levels={name: {effect.factor: effect for effect in own} for name, own in levels.items()},
                         again={name: {effect.factor: effect for effect in own} for name, own in again.items()},
                         course=average_course(screenings["sarsa"]), first=first,
                         first_p=[effect.p for effect in looked if effect.factor in shown],

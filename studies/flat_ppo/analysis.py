@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError
-from studies.figures import Theme, make_figure, write_label
-from studies.flat import TENTHS, FlatLearner, FlatRun, count_untrained, list_learners
+from studies.figures import Theme, make_figure, mark_counts, write_label
+from studies.flat import TENTHS, FlatLearner, FlatRun, count_untrained, read_learner
 from studies.statistics import Difference, compare_signs
 from studies.study import Findings, Study
 from studies.tables import make_table
@@ -95,7 +94,7 @@ def analyse(study: Study, lines: Sequence[FlatRun]) -> Findings:
             if (own := [run for run in lines if run.agent == table["label"]])}
     plain, chance = data["plain"], data["chances"][0]
     remedies = [label for label in runs if label not in (plain, *data["chances"])]
-    learners = {learner.label: learner for learner in list_learners(study) if learner.label in runs}
+    learners = {table["label"]: read_learner(table) for table in data["learners"] if table["label"] in runs}
     late = {label: found for control in data["chances"] for label, found in compare(
         lines, [label for label, learner in learners.items()
                 if learner.repeat == learners[control].repeat and label != control], control, read_late).items()}
@@ -146,7 +145,7 @@ def draw(runs: Mapping[str, Sequence[FlatRun]], theme: Theme) -> Figure:
             axes.plot(middles, np.mean([run.corners for run in own], axis=0), color=colour, linewidth=2)
             write_label(axes, tenth / (2 * TENTHS) * own[0].budget, y, find_title(label), colour)
         axes.set(xlabel="primitives of training", ylabel="share of time in corners", ylim=(0, None))
-        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        mark_counts(axes.xaxis)
         axes.set_xticks(np.linspace(0, runs["ppo"][0].budget, 5))
 
     return make_figure(theme, paint)

@@ -92,7 +92,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
     means = {cell: float(np.mean([*own.values()])) for cell, own in cells.items()}
     deep = {cell: float(np.mean([*own.values()])) for cell, own in depths.items()}
     return Findings(
-        SimpleNamespace(means=means, depths=deep, gains=gains, learned=learned, search=search, bayes=bayes, most=most,
+        SimpleNamespace(means=means, depths=deep, gains=gains, search=search, bayes=bayes, most=most,
                         seeds=len(cells[MEMORY, most]), rooms=sizes[0].episodes, data=study.data),
         {"sizes": make_table(["agent", *(f"{count:,}" for count in counts)], [
             [_title(agent), *(_format(means, seen, agent, count) for count in counts)]

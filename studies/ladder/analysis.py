@@ -34,7 +34,7 @@ from studies.ladder.calibration import KNOWN, Cells, average_rooms, compare_orde
 from studies.statistics import Difference, compare_strata
 from studies.store import Store
 from studies.study import Findings, Study
-from studies.tables import make_table
+from studies.tables import format_gain, make_table
 
 __all__ = ["Args", "Beyond", "analyse", "compare_with_search", "describe", "draw_rungs", "find_blank", "group_runs",
            "measure", "subtract", "tabulate"]
@@ -210,11 +210,8 @@ def tabulate_labels(cells: Cells) -> str:
 
 def tabulate_beyond(beyond: Mapping[str, Beyond]) -> str:
     """Differences from the best search baseline; bold where they are significant."""
-    rows = []
-    for agent, (found, rungs) in beyond.items():
-        text = f"{found.mean:+.2f} ({found.low:+.2f} to {found.high:+.2f})"
-        rows.append([AgentSpec.parse(agent).title, rungs, f"**{text}**" if found.sign else text])
-    return make_table(["learner", "rungs", "difference in efficiency"], rows)
+    return make_table(["learner", "rungs", "difference in efficiency"], [
+        [AgentSpec.parse(agent).title, rungs, format_gain(found)] for agent, (found, rungs) in beyond.items()])
 
 
 def _score(cells: Cells, rungs: Sequence[str]) -> tuple[list[str], str]:

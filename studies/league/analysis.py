@@ -16,14 +16,12 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
 
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns, join_words
-from hrl_escape.settings import read_record
-from studies.figures import Theme, make_figure, write_label
-from studies.flat import FlatLearner, FlatRun, count_untrained
+from studies.figures import Theme, make_figure, mark_counts, write_label
+from studies.flat import FlatLearner, FlatRun, read_learner
 from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
 from studies.price.runs import CONTESTANTS, PriceRun
 from studies.running import open_store
@@ -33,9 +31,8 @@ from studies.tables import make_table
 from studies.titles import find_title
 
 __all__ = ["LINES", "Attempt", "SearcherRun", "analyse", "choose_candidate", "choose_course", "compare",
-           "count_untrained_escapes", "find_longer", "list_candidates", "read_flat", "read_price"]
+           "find_longer", "list_candidates", "read_flat", "read_price"]
 
-FIELDS = {field.name for field in dataclasses.fields(FlatLearner)}
 ESCAPE = 0.0
 """Level of the first escape, among efficiencies."""
 Course: TypeAlias = Literal["whole", "first escape", "none", "later"]
@@ -88,8 +85,7 @@ def list_candidates(study: Study, label: str) -> Iterator[FlatLearner]:
     """Candidates of a learner, labelled by their number."""
     (table,) = (table for table in study.data["learners"] if table["label"] == label)
     for number, candidate in enumerate(table["candidates"], 1):
-        yield read_record(FlatLearner, {name: table[name] for name in table.keys() & FIELDS} |
-                          {"label": f"{label} / {number}", "settings": table["settings"] | candidate})
+        yield read_learner(table, label=f"{label} / {number}", settings=table["settings"] | candidate)
 
 
 def choose_candidate(study: Study, lines: Sequence[Any], label: str) -> FlatLearner:
@@ -252,21 +248,18 @@ def analyse(study: Study, lines: Sequence[Any]) -> Findings:
     followed = {label: own for label in labels if (own := [
         run for size in sizes if is_followed(cells.get((label, size), ()), ESCAPE, budget)
         for run in cells[label, size]])}
-    (pooled,), _ = correct_prices([[compare(own, searched, ESCAPE) for own in followed.values()]])
+    (pooled,) = correct_prices([[compare(own, searched, ESCAPE) for own in followed.values()]])
     ratios = dict(zip(followed, pooled, strict=True))
-    chosen = {label: choose_candidate(study, lines, label) for label in dict.fromkeys(name for name, _ in cells)}
     trials = [run for run in lines if isinstance(run, FlatRun) and run.agent not in labels]
     longer = {label: [read_flat(run, levels) for run in list_own(study, lines, label, data["longer"]["budget"])]
               for label in find_longer(study, cells)}
     numbers = SimpleNamespace(
-        budget=budget, trials=len(trials), minutes=sum(run.seconds for run in lines if isinstance(run, FlatRun)) / 60,
+        minutes=sum(run.seconds for run in lines if isinstance(run, FlatRun)) / 60,
         efficient={place: (count_arrived(runs, levels[-1]), len(runs)) for place, runs in cells.items()
                    if place[0] not in privileged},
         searched={size: float(np.median([at for (buttons, _), (at, _) in searched.items() if buttons == size]))
                   for size in sizes if any(buttons == size for buttons, _ in searched)},
         later={label: ratio.middle for label, ratio in ratios.items() if label not in privileged},
-        untrained={label: count_untrained_escapes(cells, label, count_untrained(learner))
-                   for label, learner in chosen.items()},
         longer={label: (count_arrived(runs, levels[-1]), len(runs)) for label, runs in longer.items() if runs})
     buttons = [count_nouns(size, "button") for size in sizes]
     events = [("escape", ESCAPE, "the first escape"), *((key, level, f"an efficiency of {level:g}") for key, level in
@@ -277,7 +270,9 @@ def analyse(study: Study, lines: Sequence[Any]) -> Findings:
               for label in labels if any((label, size) in cells for size in sizes)),
             *([[find_title(searcher), *(_describe_times([at for (buttons, _), (at, _) in searched.items()
                                                          if buttons == size]) for size in sizes)],
-               ["best known plan", *(_describe_times(sorted(find_fewest(cells, size).values())) for size in sizes)]]
+               ["best known plan", *(_describe_times(list({
+                   run.seed: float(run.fewest) for (_, buttons), runs in cells.items() if buttons == size
+                   for run in runs}.values())) for size in sizes)]]
               if level == ESCAPE else [])]) for key, level, event in events},
         "league_later": make_table(["learner", "rooms", "all rooms", *buttons], [
             [find_title(label), len(ratios[label].logs), ratios[label].middle,
@@ -293,13 +288,6 @@ def analyse(study: Study, lines: Sequence[Any]) -> Findings:
              for label in labels for candidate in list_candidates(study, label)
              if any(run.agent == candidate.label for run in trials)]),
     }, {"league": partial(draw, cells, searched, searcher, sizes, levels[-1])})
-
-
-def count_untrained_escapes(cells: Cells, label: str, update: int) -> tuple[int, int]:
-    """First escapes of a learner before its first update, after so many primitives, and all of them."""
-    ends = [run.waits[ESCAPE][0] for (name, _), runs in cells.items() if name == label for run in runs
-            if run.waits.get(ESCAPE, (0.0, False))[1]]
-    return sum(end <= update for end in ends), len(ends)
 
 
 def list_left(study: Study, cells: Cells) -> list[list[str]]:
@@ -326,20 +314,14 @@ def list_left(study: Study, cells: Cells) -> list[list[str]]:
     return [[reason, "; ".join(names)] for reason, names in found.items() if reason]
 
 
-def find_fewest(cells: Cells, size: int) -> dict[int, float]:
-    """Primitives of the best known escape, by room."""
-    return {run.seed: run.fewest for (_, buttons), runs in cells.items() if buttons == size for run in runs}
-
-
 def _describe(runs: Sequence[Attempt], level: float, budget: int) -> str:
     known = [run for run in runs if level in run.waits]
     if not known:
         return "not run" if not runs else "not recorded"
-    if not is_followed(known, level, budget):
-        most = max(spent for spent, arrived in (run.waits[level] for run in known) if not arrived) if any(
-            not run.waits[level][1] for run in known) else 0
-        return f"{count_arrived(known, level)} of {len(known)}" + (f" within {most:,.0f}" if most else "")
     share = f"{count_arrived(known, level)} of {len(known)}"
+    if not is_followed(known, level, budget):
+        most = max((spent for spent, arrived in (run.waits[level] for run in known) if not arrived), default=0)
+        return share + (f" within {most:,.0f}" if most else "")
     return f"{share}; {_describe_times(list_times(known, level))}" if count_arrived(known, level) else share
 
 
@@ -384,7 +366,6 @@ def draw(cells: Cells, searched: Mapping[tuple[int, int], tuple[float, bool]], s
         axes.set(yscale="log", ylim=(10, 4e6), xlim=(-0.4, len(sizes) - 0.4), xlabel="buttons in the room",
                  ylabel="primitives")
         axes.set_xticks(range(len(sizes)), [str(size) for size in sizes])
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-        axes.yaxis.set_minor_locator(NullLocator())
+        mark_counts(axes.yaxis)
 
     return make_figure(theme, paint, height=3.9)

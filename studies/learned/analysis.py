@@ -18,5 +18,5 @@ def analyse(study: Study, lines: Sequence[BaselineRun | DialLine]) -> Findings:
     """Contrasts, and places on the dial."""
     found = controls.analyse(study, [line for line in lines if isinstance(line, BaselineRun)])
     placed = [line for line in lines if isinstance(line, DialLine)]
-    found.numbers.best, found.numbers.worse = find_best_option(placed)
+    found.numbers.best = find_best_option(placed)
     return found._replace(tables={**found.tables, "learned_dial": tabulate_dial(placed)})

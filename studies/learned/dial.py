@@ -135,11 +135,10 @@ def _group(lines: Sequence[DialLine]) -> tuple[dict[float, list[float]], dict[tu
     return curve, learned
 
 
-def find_best_option(lines: Sequence[DialLine]) -> tuple[PlacedOption | None, list[str]]:
-    """Best option after all training, and the agents whose options are worth less than one that fails every other time.
+def find_best_option(lines: Sequence[DialLine]) -> PlacedOption | None:
+    """Best option after all training, or None without an agent that has `LEAST_RUNS` runs.
 
-    Intervals hold together for the options of all agents, so also for the best of them (Bonferroni). None without an
-    agent that has `LEAST_RUNS` runs.
+    Intervals hold together for the options of all agents, so also for the best of them (Bonferroni).
 
     Raises:
         ComparisonError: the lines have no curve, or no learned option.
@@ -149,11 +148,8 @@ def find_best_option(lines: Sequence[DialLine]) -> tuple[PlacedOption | None, li
         raise ComparisonError("no learned option was measured")
     last = max(primitives for _, primitives in learned)
     chosen = {key for key, worth in learned.items() if len(worth) >= LEAST_RUNS and key[1] == last}
-    if not chosen:
-        return None, []
-    placed = [option for option in place_lines(lines, 1 - (1 - LEVEL) / len(chosen)) if option[:2] in chosen]
-    return (min(placed, key=lambda option: option.place),
-            [option.option for option in placed if option.place.low >= 0.5])
+    return min((option for option in place_lines(lines, 1 - (1 - LEVEL) / max(len(chosen), 1))
+                if option[:2] in chosen), key=lambda option: option.place, default=None)
 
 
 def tabulate_dial(lines: Sequence[DialLine]) -> str:

@@ -194,8 +194,7 @@ def make_run(data: Mapping[str, Any], job: ScaleRun, choices: Mapping[str, int],
     assert fewest is not None, "rooms of this study can be escaped from"
     if learner.agent == "archive":
         started = time.process_time()
-        found = explore(single.unwrapped, read_record(ArchiveSettings, settings), job.seed, job.budget, job.budget,
-                        until_escape=True)
+        found = explore(single.unwrapped, read_record(ArchiveSettings, settings), job.seed, job.budget)
         return dataclasses.replace(job, fewest=fewest, first_escape=found.first_escape, primitives=found.primitives,
                                    seconds=round(time.process_time() - started, 2))
     options = _learn_options(data, job, choices, device) if learner.acts == "reused" else None

@@ -16,10 +16,11 @@ from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
 from studies.figures import Theme, make_figure, write_label
+from studies.statistics import Mean, compute_mean
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
-__all__ = ["LINES", "Cell", "Kind", "MarksRun", "analyse", "gather"]
+__all__ = ["LINES", "Kind", "MarksRun", "analyse", "gather"]
 
 FEW = 16
 """Training rooms that are compared with the most."""
@@ -58,14 +59,6 @@ class MarksRun:
 LINES = (MarksRun,)
 
 
-class Cell(NamedTuple):
-    """Mean of runs with its 95 % interval (Student's t), which covers training seeds and no other rooms."""
-
-    mean: float
-    low: float
-    high: float
-
-
 class Kind(NamedTuple):
     """Efficiencies with one kind of cue.
 
@@ -82,17 +75,17 @@ class Kind(NamedTuple):
     """
 
     rung: str
-    told: Mapping[int, Cell]
-    control: Cell
+    told: Mapping[int, Mean]
+    control: Mean
     searcher: float
     control_searcher: float
     ceiling: float
-    rise: Cell
-    worth: Cell
-    less: Cell | None
+    rise: Mean
+    worth: Mean
+    less: Mean | None
 
     @property
-    def most(self) -> Cell:
+    def most(self) -> Mean:
         """Efficiency after the most training rooms."""
         return self.told[max(self.told)]
 
@@ -102,11 +95,9 @@ class Kind(NamedTuple):
         return (self.most.mean - self.searcher) / (self.ceiling - self.searcher)
 
 
-def summarise(values: NDArray[np.float64]) -> Cell:
-    """Mean with Student's interval, no narrower than one test episode in a thousand."""
-    mean, error = float(np.mean(values)), max(float(stats.sem(values)), 1e-3)
-    reach = error * float(stats.t.ppf(0.975, len(values) - 1))
-    return Cell(mean, mean - reach, mean + reach)
+def summarise(values: NDArray[np.float64]) -> Mean:
+    """Mean over training seeds, which says nothing of other rooms; no narrower than one test episode in a thousand."""
+    return compute_mean(values, least_error=1e-3)
 
 
 def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Kind]:
@@ -135,7 +126,7 @@ def gather(study: Study, lines: Sequence[MarksRun]) -> dict[str, Kind]:
         kinds[kind["told"]] = Kind(
             kind["told"], {size: summarise(values) for size, values in told.items()}, summarise(control), searched,
             shuffled, float(pick([data["ceiling"]], kind["told"], 0)[0]), summarise(told[most] - told[FEW]),
-            Cell(float(told[most].mean() - control.mean()), float(worth.low), float(worth.high)),
+            Mean(float(told[most].mean() - control.mean()), float(worth.low), float(worth.high)),
             None if less is None else summarise(less))
     return kinds
 
@@ -158,7 +149,7 @@ def analyse(study: Study, lines: Sequence[MarksRun]) -> Findings:
     }, {"marks": lambda theme: draw(kinds, titles, theme)})
 
 
-def _format(cell: Cell | None) -> str:
+def _format(cell: Mean | None) -> str:
     return "" if cell is None else format_interval(cell, ".2f")
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
-from rich.console import Console
-from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.agents.spec import REFERENCES, AgentSpec
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
@@ -33,8 +33,8 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known, list_start_states
 from hrl_escape.sets.benchmark import load_benchmark
 from studies.figures import Theme, make_figure, write_label
-from studies.running import StudyArgs
-from studies.statistics import compare_signs
+from studies.running import StudyArgs, make_missing
+from studies.statistics import Mean, compare_signs, compute_mean
 from studies.store import Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
@@ -167,45 +167,39 @@ def measure(study: Study, args: Args, store: Store) -> None:
     Raises:
         ConfigError: the rooms would include rooms where settings were chosen; no run is made.
     """
-    data, console = study.data, Console(stderr=True, highlight=False)
+    data = study.data
     runs, tuned = args.runs or data["runs"], data["tuned_rooms"][0]
     if runs > tuned:
         raise ConfigError("runs", runs, f"at most {tuned}, since settings were chosen in the rooms from {tuned} on")
-    known = {line.place for line in store.load()}
-    for run in range(runs):
-        cells = [(BEHAVIOUR, WHOLE), *((agent, kind) for kind in data["kinds"] for agent in data["learners"])]
-        missing = [(agent, kind) for agent, kind in cells if (agent, kind, run) not in known]
-        store.add([run_once(agent, kind, data["rung"], run, data["episodes"]) for agent, kind in missing])
-        store.add([run_searcher(searcher, data["rung"], run, data["episodes"]) for searcher in data["searchers"]
-                   if (searcher, "", run) not in known])
-        if missing:
-            console.print(f"room {run}: {len(missing)} runs", markup=False)
+    make_missing(list_jobs(data, args.runs), lambda job: run_job(job, data), store, None)
+
+
+def list_jobs(data: Mapping[str, Any], runs: int | None) -> Iterator[OfflineResult]:
+    """Lines without results, in the order of running."""
     unseen = data["unseen"]
-    for agent, kind, seed in [(searcher, "", 0) for searcher in data["searchers"]] + [
-            (agent, kind, seed) for seed in range(args.runs or unseen["runs"]) for kind in unseen["kinds"]
-            for agent in unseen["learners"]]:
-        if (agent, name_unseen(kind), seed) not in known:
-            line = run_unseen(agent, kind, data["rung"], seed, unseen["tested"])
-            store.add([line])
-            console.print(f"{agent}, {line.kind}, seed {seed}: {line.efficiency:.3f}", markup=False)
+    for run in range(runs or data["runs"]):
+        for agent, kind in ((BEHAVIOUR, WHOLE), *itertools.product(data["learners"], data["kinds"]),
+                            *((searcher, "") for searcher in data["searchers"])):
+            yield OfflineResult(agent, kind, run, math.nan)
+    for searcher in data["searchers"]:
+        yield OfflineResult(searcher, UNSEEN, 0, math.nan)
+    for seed in range(runs or unseen["runs"]):
+        for kind in unseen["kinds"]:
+            for agent in unseen["learners"]:
+                yield OfflineResult(agent, name_unseen(kind), seed, math.nan)
+
+
+def run_job(job: OfflineResult, data: Mapping[str, Any]) -> OfflineResult:
+    """Make the run of a line without results."""
+    rung, kind = data["rung"], job.kind
+    if kind.startswith(UNSEEN):
+        return run_unseen(job.agent, kind.removeprefix(UNSEEN).strip(), rung, job.run, data["unseen"]["tested"])
+    if not kind:
+        return run_searcher(job.agent, rung, job.run, data["episodes"])
+    return run_once(job.agent, kind, rung, job.run, data["episodes"])
 
 
 # --- findings --------------------------------------------------------------------------------
-
-
-class Cell(NamedTuple):
-    """Mean efficiency with its 95 % interval (Student's t)."""
-
-    mean: float
-    low: float
-    high: float
-
-
-def summarise(values: NDArray[np.float64], level: float = 0.95) -> Cell:
-    """Mean of efficiencies, one a room or a training seed."""
-    mean, count = float(values.mean()), len(values)
-    reach = float(stats.t.ppf((1 + level) / 2, count - 1) * values.std(ddof=1) / count**0.5) if count > 1 else np.inf
-    return Cell(mean, mean - reach, mean + reach)
 
 
 def reads_decisions(agent: str) -> bool:
@@ -232,25 +226,24 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Findings:
     searched = {name: read(name, "") for name in data["searchers"]}
     bars = [name for name in data["searchers"] if name in SEARCH_BASELINES]
     best = max(bars, key=lambda name: searched[name].mean())
-    whole, cut = ({agent: summarise(read(agent, kind)) for agent in learners} for kind in ("play", "stitch"))
+    whole, cut = ({agent: compute_mean(read(agent, kind)) for agent in learners} for kind in ("play", "stitch"))
     outside = {(agent, kind): np.array([line.efficiency for line in lines
                                         if (line.agent, line.kind) == (agent, name_unseen(kind))])
                for agent in data["unseen"]["learners"] for kind in data["unseen"]["kinds"]}
     level = 1 - (1 - LEVEL) / len(outside)  # of any cell, since the best of all is looked at
-    unseen = {cell: summarise(values, level) for cell, values in outside.items()}
+    unseen = {cell: compute_mean(values, level) for cell, values in outside.items()}
     elsewhere = {name: by[name, UNSEEN, 0] for name in data["searchers"]}
     numbers = SimpleNamespace(
         horizon=compare_signs({agent: read(agent, "play") - read(other, "play")
                                for agent, other in data["pairs"].items()}),
         stitching=compare_signs({agent: read(agent, "play") - read(agent, "stitch")
                                  for agent in learners if reads_decisions(agent)}),
-        whole=whole, cut=cut, search=searched[best].mean(), unseen=unseen, best=max(unseen.values()),
-        unseen_search=max(elsewhere[name] for name in bars), behaviour=read(BEHAVIOUR, WHOLE).mean(),
-        rooms=len(rooms), seeds=min(map(len, outside.values())), data=data)
+        unseen=unseen, best=max(unseen.values()), unseen_search=max(elsewhere[name] for name in bars), rooms=len(rooms),
+        seeds=min(map(len, outside.values())), data=data)
     references = {name: AgentSpec.parse(name).title for name in data["searchers"]}
     return Findings(numbers, {
         "rooms": make_table(["learner", "settings", "whole trajectories", "cut trajectories"], [
-            ["the recorded play itself", "", f"{numbers.behaviour:.2f}", ""],
+            ["the recorded play itself", "", f"{read(BEHAVIOUR, WHOLE).mean():.2f}", ""],
             *([words, f"`{agent}`", _format(whole[agent]), _format(cut[agent])] for agent, words in learners.items()),
             *([title, f"`{name}`", f"{searched[name].mean():.2f}", ""] for name, title in references.items())]),
         "stitching": make_table(["learner", "whole less cut"], [
@@ -260,14 +253,14 @@ def analyse(study: Study, lines: Sequence[OfflineResult]) -> Findings:
               for agent, words in data["unseen"]["learners"].items()),
             *([title, *[f"{elsewhere[name]:.2f}"] * len(data["unseen"]["kinds"])]
               for name, title in references.items())]),
-    }, {"offline": lambda theme: draw(learners, whole, cut, numbers.search, theme)})
+    }, {"offline": lambda theme: draw(learners, whole, cut, searched[best].mean(), theme)})
 
 
-def _format(cell: Cell) -> str:
+def _format(cell: Mean) -> str:
     return format_interval(cell, ".2f")
 
 
-def draw(learners: Mapping[str, str], whole: Mapping[str, Cell], cut: Mapping[str, Cell], search: float, theme: Theme
+def draw(learners: Mapping[str, str], whole: Mapping[str, Mean], cut: Mapping[str, Mean], search: float, theme: Theme
          ) -> Figure:
     """Draw the efficiency of each learner from whole and from cut trajectories."""
 

@@ -9,22 +9,20 @@ from types import SimpleNamespace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.inference import Estimate
-from hrl_escape.benchmark.statistics import Floats, compute_iqm
+from hrl_escape.benchmark.statistics import Floats, compute_final, compute_iqm
 from hrl_escape.errors import ComparisonError
 from hrl_escape.settings import read_record
-from studies.figures import Theme, make_figure, write_label
+from studies.figures import Theme, make_figure, mark_counts, write_label
 from studies.paper.claims import Claim, compare_recipes, judge_claims
 from studies.paper.measures import (
     Measurement,
     Results,
     get_runs,
     has_settled,
-    measure_final,
     measure_slope,
     share_of_training,
 )
@@ -106,12 +104,10 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Findings:
                                   "--from-raw")
     findings = judge_claims(list_claims(study), results)
     reruns = compare_reruns([read_record(Rerun, table) for table in study.data["reruns"]], results)
-    finals = {(name, agent): measure_final(get_runs(results, name, agent)).estimate() for name in results
-              for agent in dict.fromkeys(run.agent for run in results[name])}
+    cells = dict.fromkeys((name, run.agent) for name, own in results.items() for run in own)
     return Findings(
-        SimpleNamespace(claims=findings, settings=compare_recipes(results), reruns=reruns, finals=finals,
-                        best=[results[name][0].best for name in ("paper-figure-1", "paper-figure-2")],
-                        runs=min(len(get_runs(results, *cell)) for cell in finals)),
+        SimpleNamespace(claims=findings, settings=compare_recipes(results), reruns=reruns,
+                        runs=min(len(get_runs(results, *cell)) for cell in cells)),
         {"claims": make_table(["", "the paper says", "measured", "2019 settings", "default settings", "verdict",
                                "published program, rerun"], [
             [number, found.claim.says, f"{found.claim.measured}: {found.claim.holds.words}",
@@ -125,12 +121,13 @@ def analyse(study: Study, lines: Sequence[RawRun]) -> Findings:
               f"{np.mean(own.ours):.2f} ({min(own.ours):.2f} to {max(own.ours):.2f})", f"{own.gap:+.2f}",
               own.rerun.note] for own in reruns]),
          "runs": make_table(["figure", "agent", "final score", "slope", "settled", "success rate in training"], [
-             _make_row(results, name, agent, final) for (name, agent), final in finals.items()])},
+             _make_row(results, *cell) for cell in cells])},
         {name: (lambda theme, runs=runs: draw_figure(runs, theme)) for name, runs in results.items()})
 
 
-def _make_row(results: Results, figure: str, agent: str, final: Estimate) -> list[str]:
+def _make_row(results: Results, figure: str, agent: str) -> list[str]:
     runs = get_runs(results, figure, agent)
+    final = Measurement(tuple(compute_final(run.at, run.scores, run.budget) for run in runs), compute_iqm).estimate()
     escapes = Measurement(tuple(share_of_training(run, run.training_successes) for run in runs)).estimate()
     return [figure.removeprefix("paper-"), AgentSpec.parse(agent).title, _format(final, "%"),
             _format(measure_slope(runs, False, 0.5).estimate(), "points"),
@@ -177,7 +174,7 @@ def draw_figure(runs: Sequence[RawRun], theme: Theme) -> Figure:
             axes.set_title(title, loc="left", fontsize=10)
             axes.set(ylim=(-8, 106), xlim=(0, 1.32 * runs[0].budget), ylabel="score, %")
             axes.set_xticks(np.linspace(0, runs[0].budget, 5))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+            mark_counts(axes.xaxis)
         grid[-1].set_xlabel(f"{runs[0].axis} of training")
 
     return make_figure(theme, draw, height=4.6, nrows=2, sharex=True, sharey=True)

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
+
 from hrl_escape.agents.registry import DEFAULT_RECIPE, KERAS_RL, join_name
 from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.benchmark.inference import ALPHA, Estimate
@@ -20,15 +22,13 @@ from studies.paper.measures import (
     Results,
     Side,
     get_runs,
-    has_escaped_by,
     has_settled,
     measure_gain,
-    measure_share_of_runs,
     measure_slope,
     share_of_training,
 )
 from studies.raw import RawRun
-from studies.statistics import Difference, compare_signs, correct_by_benjamini_hochberg
+from studies.statistics import Difference, compare_signs
 
 __all__ = ["MEASURES", "Claim", "Criterion", "Finding", "choose_level", "compare_recipes", "judge_claims"]
 
@@ -39,7 +39,8 @@ EARLY = 2_000
 
 
 def _count(ask: Callable[[RawRun], bool]) -> Callable[[Results, str, str], Measurement]:
-    return lambda results, figure, agent: measure_share_of_runs([ask(run) for run in get_runs(results, figure, agent)])
+    return lambda results, figure, agent: Measurement(tuple(
+        float(ask(run)) for run in get_runs(results, figure, agent)))
 
 
 def _leave_options(agent: str) -> str:
@@ -50,7 +51,7 @@ def _leave_options(agent: str) -> str:
 
 MEASURES: Mapping[str, Callable[[Results, str, str], Measurement]] = {
     "escapes": _count(lambda run: run.first_escape is not None),
-    "escapes-early": _count(lambda run: has_escaped_by(run, EARLY)),
+    "escapes-early": _count(lambda run: run.first_escape is not None and run.first_escape <= EARLY),
     "settles": _count(has_settled),
     "often-optimal": _count(lambda run: share_of_training(run, run.training_optimal) >= 0.25),
     "slope": lambda results, figure, agent: measure_slope(get_runs(results, figure, agent), True, 0.0),
@@ -181,7 +182,7 @@ def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
     measured = [(_measure(claim, results, KERAS_RL), _measure(claim, results, DEFAULT_RECIPE)) for claim in claims]
     tests = [(number, name, *claim.holds.test(found)) for number, (claim, (paper, _))
              in enumerate(zip(claims, measured, strict=True)) for name, found in paper.items()]
-    adjusted = correct_by_benjamini_hochberg([p for *_, p in tests])
+    adjusted = stats.false_discovery_control([p for *_, p in tests]).tolist()
     level = choose_level(adjusted)
     findings = [Finding(claim, _estimate(paper, level), _estimate(corrected, level), {}, {},
                         _judge_chance(claim, results))

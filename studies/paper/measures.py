@@ -23,7 +23,7 @@ from hrl_escape.benchmark.inference import (
     cut_interval,
     draw_weights,
 )
-from hrl_escape.benchmark.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean
+from hrl_escape.benchmark.statistics import LATE, Floats, compute_mean
 from hrl_escape.errors import ComparisonError
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
 from studies.statistics import compute_sign_flip_p, compute_slope, cut_signs
@@ -33,11 +33,8 @@ __all__ = [
     "Results",
     "Side",
     "get_runs",
-    "has_escaped_by",
     "has_settled",
-    "measure_final",
     "measure_gain",
-    "measure_share_of_runs",
     "measure_slope",
     "share_of_training",
 ]
@@ -114,16 +111,6 @@ def _draw_weights(count: int) -> Floats:
     return draw_weights(count, DRAWS, np.random.default_rng(2019))
 
 
-def measure_share_of_runs(hits: Sequence[bool]) -> Measurement:
-    """Share of runs where something happened, with the interval of Clopper and Pearson."""
-    return Measurement(tuple(map(float, hits)))
-
-
-def measure_final(runs: Sequence[RawRun]) -> Measurement:
-    """Interquartile mean of the score of frozen weights in the last fifth."""
-    return Measurement(tuple(compute_final(run.at, run.scores, run.budget) for run in runs), compute_iqm)
-
-
 def measure_slope(runs: Sequence[RawRun], training: bool, since: float) -> Measurement:
     """Mean slope of the score, over one budget.
 
@@ -166,8 +153,3 @@ def share_of_training(run: RawRun, counts: Sequence[int], bins: slice = LATE_BIN
 def has_settled(run: RawRun) -> bool:
     """Every evaluation in the last fifth was optimal."""
     return bool(np.all(run.scores[run.at >= LATE * run.budget] >= OPTIMAL_SCORE))
-
-
-def has_escaped_by(run: RawRun, primitives: float) -> bool:
-    """A training episode had escaped by then."""
-    return run.first_escape is not None and run.first_escape <= primitives

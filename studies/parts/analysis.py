@@ -256,7 +256,7 @@ def analyse(study: Study, lines: Sequence[PartsRun]) -> Findings:
     near = [(rule, size) for rule in data["rules"] for size in data["near"]["sizes"]]
     return Findings(
         SimpleNamespace(first=first, fresh=fresh, agree=agree, design=compute_design(study), exchanges=exchanges,
-                        runs={name: len(own) for name, own in slices.items()}, data=data),
+                        data=data),
         {"ratios": make_table(["with", "without", "rule", *sizes],
                               [_list_ratios(key, own, data) for key, own in first.ratios.items()]),
          "answers": make_table(["with", "without", "rule", "times fewer primitives", "change of the exponent",

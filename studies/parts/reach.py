@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator, PercentFormatter
+from matplotlib.ticker import NullLocator, PercentFormatter
 
 from hrl_escape.benchmark.inference import compute_wilson_interval
-from studies.figures import Theme, make_figure, write_label
+from studies.figures import Theme, make_figure, mark_counts, write_label
 from studies.parts.answers import PartsRun
 
 __all__ = ["BASELINE", "FULL", "LIMIT", "RULE", "STRUCTURED", "count_escapes", "draw_medians", "draw_reach",
@@ -96,6 +96,6 @@ def draw_medians(medians: Mapping[tuple[str, str], Mapping[int, float]], theme: 
         axes.set(xscale="log", yscale="log", xlabel="buttons in the room", ylabel="primitives to the first escape")
         axes.set_xticks(sizes, [str(size) for size in sizes])
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        mark_counts(axes.yaxis)
 
     return make_figure(theme, draw)

@@ -12,11 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
 
 from hrl_escape.files import read_toml
 from hrl_escape.names import join_words
-from studies.figures import Theme, make_figure, write_label
+from studies.figures import Theme, make_figure, mark_counts, write_label
 from studies.price.ratios import COSTS, CostRatio, RunCost, compare_costs, correct_prices, measure_growth
 from studies.price.runs import BUTTON_COUNTS, CONTESTANTS, PAIRS, PriceRun
 from studies.statistics import compute_restricted_mean
@@ -71,7 +70,7 @@ def compare_pair(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence
     paid, others = ([run for run in runs if run.agent == label] for label in (one, other))
     ratios = [compare_costs(paid, others, cost) for cost in costs]
     if corrected:
-        ratios, _ = correct_prices(ratios, [measure_growth(own) for own in ratios])
+        ratios = correct_prices(ratios, [measure_growth(own) for own in ratios])
     return {cost.key: own for cost, own in zip(costs, ratios, strict=True)}
 
 
@@ -159,7 +158,6 @@ def draw_price(runs: Sequence[PriceRun], theme: Theme) -> Figure:
         axes.set(yscale="log", ylim=(15, 2e7), xlim=(-0.4, len(BUTTON_COUNTS) - 0.6), xlabel="buttons in the room",
                  ylabel="primitives until efficient")
         axes.set_xticks(range(len(BUTTON_COUNTS)), [str(size) for size in BUTTON_COUNTS])
-        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-        axes.yaxis.set_minor_locator(NullLocator())
+        mark_counts(axes.yaxis)
 
     return make_figure(theme, draw, height=3.9)

@@ -19,7 +19,7 @@ from studies.price.runs import PriceRun
 from studies.statistics import choose_holm_levels, find_lasting, list_subset_means
 from studies.tables import format_short
 
-__all__ = ["COSTS", "CostRatio", "Growth", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
+__all__ = ["COSTS", "CostRatio", "LogRange", "RunCost", "compare_costs", "correct_prices", "find_middle",
            "is_ready", "measure_growth"]
 
 Knowledge: TypeAlias = Literal["measured", "bound", "unknown"]
@@ -126,22 +126,6 @@ class CostRatio(NamedTuple):
     is_short: bool = False
 
 
-class Growth(NamedTuple):
-    """Growth of the factor with each button, from the fewest to the most buttons with a known factor.
-
-    Attributes:
-        smallest: buttons at the one end.
-        largest: buttons at the other.
-        middle: over replicates, of the factor per button.
-        logs: logarithm of that factor, by replicate.
-    """
-
-    smallest: int
-    largest: int
-    middle: Middle
-    logs: Mapping[int, LogRange] = {}
-
-
 def compare_costs(flat: Sequence[PriceRun], options: Sequence[PriceRun], cost: RunCost) -> list[CostRatio]:
     """Ratios of two learners' costs in all sizes of rooms where both were run, the fewest buttons first."""
     sizes = sorted({run.buttons for run in flat} & {run.buttons for run in options})
@@ -189,23 +173,21 @@ def find_middle(logs: Sequence[LogRange], level: float = LEVEL) -> Middle:
     return found if low > 0 else Middle("unknown", high=high, p=min(1.0, p))
 
 
-def correct_prices(ratios: Sequence[Sequence[CostRatio]], growths: Sequence[Growth] = ()
-                   ) -> tuple[list[list[CostRatio]], list[Growth]]:
-    """Correct p-values and intervals of ratios, cost by cost, and of their growths as one family (Holm).
+def correct_prices(ratios: Sequence[Sequence[CostRatio]], growths: Sequence[Sequence[LogRange]] = ()
+                   ) -> list[list[CostRatio]]:
+    """Correct p-values and intervals of ratios, cost by cost, as one family with their growths (Holm).
 
     What has too few replicates, or was left out, is no part of the family.
     """
-    asked = [part for part in (*(ratio for own in ratios for ratio in own if not ratio.is_short), *growths)
-             if len(part.logs) >= LEAST_RUNS]
-    p = [part.middle.p for part in asked]
-    found = {id(part): find_middle(list(part.logs.values()), level)._replace(p=corrected)
-             for part, level, corrected in zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=True)}
-    return ([[ratio._replace(middle=found.get(id(ratio), ratio.middle)) for ratio in own] for own in ratios],
-            [growth._replace(middle=found.get(id(growth), growth.middle)) for growth in growths])
+    asked = [ratio for own in ratios for ratio in own if not ratio.is_short and len(ratio.logs) >= LEAST_RUNS]
+    p = [ratio.middle.p for ratio in asked] + [find_middle(own).p for own in growths if len(own) >= LEAST_RUNS]
+    found = {id(ratio): find_middle(list(ratio.logs.values()), level)._replace(p=corrected)
+             for ratio, level, corrected in zip(asked, choose_holm_levels(p), correct_by_holm(p), strict=False)}
+    return [[ratio._replace(middle=found.get(id(ratio), ratio.middle)) for ratio in own] for own in ratios]
 
 
-def measure_growth(ratios: Sequence[CostRatio]) -> Growth:
-    """Growth of the factor with each button.
+def measure_growth(ratios: Sequence[CostRatio]) -> list[LogRange]:
+    """Logarithms of the growth of the factor with each button, a replicate each; none where it is not known.
 
     It is measured from the smallest size to the largest one with a measured factor, along the line between the two in
     each replicate; where that is one size, to the next one, where then only a bound is known.
@@ -215,10 +197,9 @@ def measure_growth(ratios: Sequence[CostRatio]) -> Growth:
         *measured, *(ratio for ratio in ratios
                      if measured and not ratio.is_short and ratio.buttons > measured[0].buttons)][:2]
     if len(ends) < 2:
-        return Growth(0, 0, Middle("unknown"))
+        return []
     first, last = ends
     apart = last.buttons - first.buttons
-    slopes = {replicate: ((last.logs[replicate][0] - first.logs[replicate][1]) / apart,
-                          (last.logs[replicate][1] - first.logs[replicate][0]) / apart)
-              for replicate in sorted(first.logs.keys() & last.logs.keys())}
-    return Growth(first.buttons, last.buttons, find_middle(list(slopes.values())), slopes)
+    return [((last.logs[replicate][0] - first.logs[replicate][1]) / apart,
+             (last.logs[replicate][1] - first.logs[replicate][0]) / apart)
+            for replicate in sorted(first.logs.keys() & last.logs.keys())]

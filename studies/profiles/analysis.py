@@ -189,8 +189,7 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Findings:
     columns = [([*map(name_agent, [*learners, SEARCH]), "Bayes planner"], axes),
                *((list(map(name_agent, agents)), own) for agents, own in others)]
     return Findings(SimpleNamespace(
-        axes=order, left=[axis.name for axis in bench.manifest.axes if axis not in axes],
-        leaders={axis: find_leader(gains, axis, learners) for axis in order}, gains=gains, means=means,
+        axes=order, leaders={axis: find_leader(gains, axis, learners) for axis in order}, gains=gains, means=means,
         beyond=[axis for axis in order if any(gains[axis, learner, SEARCH].is_shown for learner in learners)],
         falls={axis: sorted(agent for agent, own in falls if own == axis) for axis in order},
         below=[axis.name for agents, own in others[:1] for axis in own

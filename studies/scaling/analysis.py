@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import NullLocator
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
-from studies.figures import Theme, make_figure, write_label
+from studies.figures import Theme, make_figure, mark_counts, write_label
 from studies.running import GridArgs
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import (
@@ -249,7 +249,7 @@ def draw(escapes: Mapping[tuple[str, str, int], FollowedRuns], theme: Theme) -> 
             axes.set_title(f"a wrong press {effect}", loc="left", fontsize=10)
             axes.set_xticks(SIZES, list(map(str, SIZES)))
             axes.xaxis.set_minor_locator(NullLocator())
-            axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+            mark_counts(axes.yaxis)
         panels[-1].set_xlabel("buttons in the room")
 
     return make_figure(theme, draw_axes, height=5.4, nrows=len(RULES), sharex=True, sharey=True)

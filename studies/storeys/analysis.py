@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.errors import ComparisonError
 from studies.figures import Theme, make_figure, write_label
+from studies.statistics import Mean, compute_mean
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
@@ -46,20 +44,6 @@ class FloorRun:
 LINES = (FloorRun,)
 
 
-class Cell(NamedTuple):
-    """Mean over room sequences with its 95 % interval (Student's t)."""
-
-    mean: float
-    low: float
-    high: float
-
-
-def summarise(values: NDArray[np.float64]) -> Cell:
-    """Mean of efficiencies or of gains, one a sequence."""
-    reach = float(stats.sem(values)) * float(stats.t.ppf(0.975, len(values) - 1))
-    return Cell(float(values.mean()), float(values.mean()) - reach, float(values.mean()) + reach)
-
-
 def analyse(study: Study, lines: Sequence[FloorRun]) -> Findings:
     """Efficiency in each room of the sequences, and the gain from the first to the last.
 
@@ -74,8 +58,8 @@ def analyse(study: Study, lines: Sequence[FloorRun]) -> Findings:
         if len(own) != data["floors"]:
             raise ComparisonError(f"{agent} was not played in every room of the sequences")
         found[name] = [np.array(line.efficiencies) for line in own]
-    cells = {name: [summarise(values) for values in own] for name, own in found.items()}
-    gains = {name: summarise(own[-1] - own[0]) for name, own in found.items()}
+    cells = {name: [compute_mean(values) for values in own] for name, own in found.items()}
+    gains = {name: compute_mean(own[-1] - own[0]) for name, own in found.items()}
     table = make_table(["agent", *(f"room {number}" for number in range(1, data["floors"] + 1)), "last less first"], [
         [name, *(format_interval(cell, ".3f") for cell in own), format_interval(gains[name], "+.3f")]
         for name, own in cells.items()])
@@ -86,7 +70,7 @@ def analyse(study: Study, lines: Sequence[FloorRun]) -> Findings:
         {"sequences": table}, {"storeys": lambda theme: draw(cells, theme)})
 
 
-def draw(cells: Mapping[str, Sequence[Cell]], theme: Theme) -> Figure:
+def draw(cells: Mapping[str, Sequence[Mean]], theme: Theme) -> Figure:
     """Draw the efficiency in each room of the sequences."""
 
     def draw_axes(axes: Axes) -> None:

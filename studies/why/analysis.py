@@ -65,7 +65,7 @@ def compare(study: Study, runs: Sequence[PriceRun]) -> dict[tuple[Pair, str], li
     for family in list_families(study):
         asked = [key for key in found if key[0] in family]
         own = [found[key] for key in asked]
-        corrected, _ = correct_prices(own, [measure_growth(ratios) for ratios in own])
+        corrected = correct_prices(own, [measure_growth(ratios) for ratios in own])
         found |= dict(zip(asked, corrected, strict=True))
     return found
 
@@ -94,7 +94,7 @@ def analyse(study: Study, lines: Sequence[PriceRun]) -> Findings:
     flat, whole = data["flat"], data["whole"]
     return Findings(SimpleNamespace(
         exploring=read(flat, EXPLORES), beyond=read(EXPLORES, whole), repeats=read(REPEATS, EXPLORES),
-        imagined=read(flat, AHEAD), random=[read(control, AHEAD) for control in RANDOM_AHEAD],
+        imagined=read(flat, AHEAD),
         credit=read(flat, "long credit"), alike=count_alike(found, Pair(EXPLORES, whole), ESCAPE.key),
         minutes=sum(line.seconds for line in lines) / 60), {
             "why": tabulate(study, found),

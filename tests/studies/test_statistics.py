@@ -11,7 +11,6 @@ from studies.statistics import (
     compute_restricted_mean,
     compute_sign_flip_p,
     compute_slope,
-    correct_by_benjamini_hochberg,
     cut_signs,
 )
 
@@ -77,14 +76,6 @@ def test_slope_is_that_of_linear_regression_over_the_chosen_part():
 
 def test_slope_of_fewer_than_two_measurements_is_none():
     assert compute_slope([0, 1], [3, np.nan], 0, 1) == compute_slope([], [], 0, 1) == 0
-
-
-# --- false discoveries -----------------------------------------------------------------
-
-
-def test_false_discoveries_are_scipys():
-    p = rng(5).random(9) ** 2
-    assert correct_by_benjamini_hochberg(p.tolist()) == pytest.approx(stats.false_discovery_control(p))
 
 
 # --- intervals -------------------------------------------------------------------------

@@ -10,7 +10,8 @@ import pytest
 
 from hrl_escape.errors import ComparisonError
 from studies.pages.storeys import RULES
-from studies.storeys.analysis import FloorRun, analyse, summarise
+from studies.statistics import compute_mean
+from studies.storeys.analysis import FloorRun, analyse
 from studies.study import find_study
 
 STUDY = find_study("storeys")
@@ -44,7 +45,7 @@ def test_a_rise_without_memory_refutes_the_finding():
 
 
 def test_one_lucky_sequence_is_no_gain():
-    found = summarise(np.append(np.zeros(39), 0.2))
+    found = compute_mean(np.append(np.zeros(39), 0.2))
     assert found.low < 0 < found.mean < found.high
 
 
