@@ -68,11 +68,6 @@ class Contrast(NamedTuple):
     equal: tuple[str, ...]
 
     @property
-    def gain(self) -> float:
-        """Mean difference of efficiency over the rooms."""
-        return self.found.mean
-
-    @property
     def is_same(self) -> bool:
         """Both run alike in every room, so nothing was compared."""
         return len(self.equal) == len(self.rooms)

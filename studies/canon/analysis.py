@@ -188,7 +188,7 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
 
     Candidates of a learner run as agents of their own; a line has the label of the learner.
     """
-    data, there = study.data, {(line.agent, line.candidate, line.key) for line in store.load()}
+    data, there = study.data, {line.place for line in store.load()}
     for learns, budget, step, episodes in ((False, NO_TRAINING, NO_TRAINING, REFERENCE_EPISODES),
                                            (True, data["primitives"], data["eval_every"], 1)):
         own = {f"{agent.label} / {number}": (agent, number) for agent, number in agents if agent.learns == learns}
@@ -197,9 +197,8 @@ def run_room(study: Study, args: Args, store: Store, room: str, agents: Sequence
         grid = Grid(f"canon-{'learners' if learns else 'references'}", "", tuple(
             dataclasses.replace(agent, label=label) for label, (agent, _) in own.items()), (RoomSpec(room),),
             runs=1, primitives=budget, eval_every=step, eval_episodes=episodes)
-        keys = {run.agent.label: run.key for run in grid.make_runs(grid.make_places())}
         missing = tuple(agent for agent in grid.agents
-                        if (own[agent.label][0].label, own[agent.label][1], keys[agent.label]) not in there)
+                        if (own[agent.label][0].label, own[agent.label][1], room, budget * learns) not in there)
         if missing:
             made = run_grid(dataclasses.replace(grid, agents=missing), args.out / "canon",
                             LocalLauncher(args.workers, begin_until=until))

@@ -1,6 +1,6 @@
 """Scaling study: agents in rooms of 2 to 20 buttons, of some dependency graph and violation rule.
 
-Every run has a room of its own and ends early once its agent has solved it (`SolvedRule`). Runs are made in rounds,
+Every run has a room of its own and ends early once its agent has solved it (`SolvedProbe`). Runs are made in rounds,
 because an agent that never escaped with fewer buttons does not run with more. In the rounds of `GIVEN`, factored R-MAX
 is given less information than usual.
 """
@@ -26,7 +26,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.files import read_toml
 from studies.scaling.results import RoomKind, ScalingRun, measure_depth
-from studies.scaling.solved_probe import SolvedProbe, SolvedRule
+from studies.scaling.solved_probe import SolvedProbe
 from studies.store import Store
 
 __all__ = ["AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "FRESH", "GIVEN", "GIVEN_TASKS", "HOLDS", "RULES", "SIZES",
@@ -109,7 +109,7 @@ def run_once(task: RoomKind, spec: AgentSpec, seed: int, primitives: int, out: P
         # A room has one start, so all episodes of an evaluation are the same: one is enough.
         starts = find_starts(env, recorder, [compute_episode_seed(seed, "evaluation", 0)])
         score_range = compute_score_range(starts, spec, out / "scaling" / "references")
-        probe = SolvedProbe(SolvedRule(NEAR_BEST), env, room, spec, score_range)
+        probe = SolvedProbe(NEAR_BEST, env, room, spec, score_range)
         result = train(
             AgentSpec(spec.name, options=OptionsView(include_primitives=False)), env, primitives=primitives, seed=seed,
             settings=spec.resolve_settings(), eval_every=primitives, eval_episodes=1, eval_seed=seed, progress=False,
@@ -119,7 +119,8 @@ def run_once(task: RoomKind, spec: AgentSpec, seed: int, primitives: int, out: P
     return ScalingRun(
         *task, agent=spec.label, run=seed, room=room.id, best=sum(score_range.reachable), worst=score_range.worst,
         budget=primitives, primitives=result.primitives, decisions=result.decisions, seconds=round(result.seconds, 1),
-        first_escape=result.first_escape, **vars(probe.solution), depth=measure_depth(room))
+        first_escape=result.first_escape, near_best=probe.near_best, edges=probe.edges, depth=measure_depth(room),
+        structure=tuple(probe.structure))
 
 
 def _list_rounds(args: Any, runs: Mapping[tuple[RoomKind, str, int], ScalingRun]

@@ -6,7 +6,6 @@ The probe records when that happened, and precision and recall of the believed g
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import gymnasium
@@ -23,106 +22,86 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import EdgeSet, find_edges_that_matter, find_target_edges
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
 
-__all__ = ["Solution", "SolvedProbe", "SolvedRule", "compare_graphs"]
+__all__ = ["SolvedProbe", "compare_graphs"]
 
-
-@dataclass(frozen=True)
-class SolvedRule:
-    """Rule that decides whether a room counts as solved.
-
-    A random agent does not improve, so its run ends with its first escape.
-    """
-
-    score: float  # near the best: from no escape (0) to the best return of the agent's actions (1)
-    check_every: int = 500
-    """Primitives between checks of one episode each, from the first escape on."""
-    graph_every: int = 100
-    """Primitives between comparisons of the graph."""
-
-
-@dataclass(frozen=True)
-class Solution:
-    """Course of a run towards its solution."""
-
-    near_best: int | None
-    """Primitives at the first of two checks in a row that scored near the best; None without such a pair."""
-    edges: int  # number of edges that matter in the room's graph
-    structure: tuple[tuple[int, float, float], ...]
-    """(primitives, precision, recall) at every change; empty for agents without a graph."""
+CHECK_EVERY = 500
+"""Primitives between checks of one episode each, from the first escape on."""
+GRAPH_EVERY = 100
+"""Primitives between comparisons of the graph."""
 
 
 class SolvedProbe(Stateful):
-    """Measures whether an agent has solved its room.
+    """Measures whether an agent has solved its room. A random agent has with its first escape, as it learns nothing.
 
     Args:
-        rule: see `SolvedRule`.
+        least: score near the best, from no escape (0) to the best return of the agent's actions (1).
         env: environment where the policy is checked, between training episodes.
         instance: its room.
         spec: of the agent.
         score_range: of the room for this agent.
+
+    Attributes:
+        near_best: primitives at the first of two checks in a row near the best; None without such a pair.
+        structure: (primitives, precision, recall) at every change; empty for agents without a graph.
+        edges: number of edges that matter in the room's graph.
     """
 
-    STATE = ("_has_escaped", Kept("_structure", pack=lambda steps: list(map(list, steps)),
+    STATE = ("_has_escaped", Kept("structure", pack=lambda steps: list(map(list, steps)),
                                   unpack=lambda saved: [(int(at), *found) for at, *found in saved]),
-             "_near_best", "_candidate", "_next_check", "_next_graph")
+             "near_best", "_candidate", "_next_check", "_next_graph")
 
-    def __init__(self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec,
+    def __init__(self, least: float, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec,
                  score_range: ScoreRange) -> None:
         graph = get_mixin(instance.puzzle, Graphed)
-        self._rule, self._env, self._range, self._goals = rule, env, score_range, graph.goal_targets
+        self._least, self._env, self._range, self._goals = least, env, score_range, graph.goal_targets
         self._learns = spec.algorithm != "random"
         self._true = find_edges_that_matter(graph.edges, self._goals)
         room: Any = env.unwrapped
-        self._places = room.observer.light_places
+        self.edges, self._places = len(self._true), room.observer.light_places
         self._has_escaped = False
-        self._structure: list[tuple[int, float, float]] = []
-        self._near_best: int | None = None
+        self.structure: list[tuple[int, float, float]] = []
+        self.near_best: int | None = None
         self._candidate: int | None = None
         self._next_check = self._next_graph = 0
 
     @property
-    def solution(self) -> Solution:
-        """The course so far."""
-        return Solution(self._near_best, len(self._true), tuple(self._structure))
-
-    @property
     def identity(self) -> dict[str, Any]:
         """The rule, as a JSON value."""
-        return {"until_solved": asdict(self._rule)}
+        return {"until_solved": {"score": self._least, "check_every": CHECK_EVERY, "graph_every": GRAPH_EVERY}}
 
     @property
     def is_done(self) -> bool:
         """The room is solved."""
         if not self._learns:
             return self._has_escaped
-        is_graph_known = not self._structure or self._structure[-1][1:] == (1.0, 1.0)
-        return self._near_best is not None and is_graph_known
+        is_graph_known = not self.structure or self.structure[-1][1:] == (1.0, 1.0)
+        return self.near_best is not None and is_graph_known
 
     def after_decision(self, agent: Agent, primitives: int) -> None:
         """Compare the believed graph with the true one, every so often."""
         if primitives < self._next_graph or (graph := agent.get_graph()) is None:
             return
-        self._next_graph = primitives + self._rule.graph_every
+        self._next_graph = primitives + GRAPH_EVERY
         believed = find_edges_that_matter(find_target_edges(graph, self._places), self._goals)
         precision, recall = compare_graphs(believed, self._true)
         now = round(precision, 4), round(recall, 4)
-        if not self._structure or self._structure[-1][1:] != now:
-            self._structure.append((primitives, *now))
+        if not self.structure or self.structure[-1][1:] != now:
+            self.structure.append((primitives, *now))
 
     def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
         """Check the frozen policy, every so often, from the first escape until it is near the best."""
         self._has_escaped = self._has_escaped or bool(episode.success)
         at = episode.primitives
-        if not self._learns or not self._has_escaped or self._near_best is not None or at < self._next_check:
+        if not self._learns or not self._has_escaped or self.near_best is not None or at < self._next_check:
             return
-        self._next_check = at + self._rule.check_every
+        self._next_check = at + CHECK_EVERY
         found = evaluate(agent, self._env, episodes=1).mean_return
-        if compute_score(found, self._range.worst, np.mean(self._range.reachable)) < self._rule.score:
+        if compute_score(found, self._range.worst, np.mean(self._range.reachable)) < self._least:
             self._candidate = None
         elif self._candidate is None:
             self._candidate = at
         else:
-            self._near_best = self._candidate
+            self.near_best = self._candidate
 
 
 def compare_graphs(found: EdgeSet, true: EdgeSet) -> tuple[float, float]:

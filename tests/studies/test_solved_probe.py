@@ -17,7 +17,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.settings import Between
 from studies.scaling.results import compute_edge_depth
-from studies.scaling.solved_probe import SolvedProbe, SolvedRule, compare_graphs
+from studies.scaling.solved_probe import SolvedProbe, compare_graphs
 
 
 def test_an_edge_that_a_longer_way_implies_does_not_matter():
@@ -52,12 +52,12 @@ def test_a_policy_near_the_best_counts_from_the_first_of_two_checks_after_an_esc
     env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"), include_primitives=False)
     agent = train("smdp-q-learning", env, primitives=300, eval_episodes=0).agent
     known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
-    probes = [SolvedProbe(SolvedRule(0.99, check_every=100), env, room, AgentSpec(name), known)
+    probes = [SolvedProbe(0.99, env, room, AgentSpec(name), known)
               for name in ("smdp-q-learning", "random-options")]
     for at, success in ((100, False), (250, False), (400, True), (450, False), (600, False)):
         for probe in probes:
             probe.after_episode(agent, EpisodeRecord(at, at, 0.0, 10, success, "terminated", 0.0))
-    assert [probe.solution.near_best for probe in probes] == [400, None]
+    assert [probe.near_best for probe in probes] == [400, None]
     assert [probe.is_done for probe in probes] == [True, True]
 
 
@@ -68,9 +68,9 @@ def test_a_believed_graph_is_read_by_the_places_of_the_lights(observation):
     room = next(room for room in (generate(several, seed) for seed in range(20)) if len(room.targets) == 3)
     env = OptionsEnv(EscapeRoomEnv(instance=room, observation=observation), include_primitives=False)
     known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
-    probe = SolvedProbe(SolvedRule(0.99, graph_every=10), env, room, AgentSpec("smdp-factored-r-max"), known)
+    probe = SolvedProbe(0.99, env, room, AgentSpec("smdp-factored-r-max"), known)
     train("smdp-factored-r-max", env, primitives=600, eval_episodes=0, probe=probe)
-    assert probe.solution.structure[-1][1:] == (1.0, 1.0) and probe.solution.edges == 2
+    assert probe.structure[-1][1:] == (1.0, 1.0) and probe.edges == 2
 
 
 @pytest.mark.parametrize(("preset", "observation"), [
@@ -93,13 +93,13 @@ def test_a_graph_is_kept_once_until_the_agent_believes_another():
     room = generate(get_preset("four-button-chain"), 0)
     env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"), include_primitives=False)
     known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
-    probe = SolvedProbe(SolvedRule(0.99, graph_every=10), env, room, AgentSpec("smdp-factored-r-max"), known)
+    probe = SolvedProbe(0.99, env, room, AgentSpec("smdp-factored-r-max"), known)
     agent = train("smdp-factored-r-max", env, primitives=3_000, eval_episodes=0).agent
-    for primitives in (0, 5, 10, 20, 30):
+    for primitives in (0, 50, 100, 200, 300):
         probe.after_decision(agent, primitives)
-    assert probe.solution.structure == ((0, 1.0, 1.0),)
+    assert probe.structure == [(0, 1.0, 1.0)]
     before = train("smdp-factored-r-max", env, primitives=10, eval_episodes=0).agent
-    probe.after_decision(before, 35)  # the graph is looked at every ten primitives
-    assert len(probe.solution.structure) == 1
-    probe.after_decision(before, 41)
-    assert [at for at, *_ in probe.solution.structure] == [0, 41]
+    probe.after_decision(before, 350)  # the graph is looked at every hundred primitives
+    assert len(probe.structure) == 1
+    probe.after_decision(before, 410)
+    assert [at for at, *_ in probe.structure] == [0, 410]
