@@ -9,12 +9,13 @@ import numpy as np
 
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.statistics import compute_iqm
+from studies.store import Line
 
 __all__ = ["BaselineRun", "collect_baselines", "compute_run_efficiency"]
 
 
 @dataclass(frozen=True)
-class BaselineRun:
+class BaselineRun(Line):
     """Result of one run of a rung.
 
     Attributes:
@@ -47,10 +48,7 @@ class BaselineRun:
     first_escape: int | None
     key: str
 
-    @property
-    def place(self) -> tuple[str, str, str, str, int, int]:
-        """Subject of the line: another line about the same replaces it."""
-        return self.protocol, self.rung, self.rooms, self.agent, self.seed, self.primitives
+    PLACE = ("protocol", "rung", "rooms", "agent", "seed", "primitives")
 
 
 def collect_baselines(comparison: Comparison, protocol: str, rung: str) -> list[BaselineRun]:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter
 
 __all__ = ["FIGURE_STYLE", "THEMES", "Drawing", "Theme", "draw_rows", "make_figure", "mark_counts",
            "write_key", "write_label"]
@@ -69,9 +69,8 @@ def make_figure(theme: Theme, draw: Callable[[Any], None], height: float = 3.7, 
 
 
 def mark_counts(axis: Any) -> None:
-    """Mark an axis with whole numbers, 10,000 and not 10^4, and no marks in between."""
+    """Mark an axis with whole numbers, 10,000 and not 10^4."""
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-    axis.set_minor_locator(NullLocator())
 
 
 def write_label(axes: Axes, x: float, y: float, text: str, colour: str, **how: Any) -> None:

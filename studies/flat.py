@@ -17,6 +17,7 @@ from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.many_envs import VectorManyEnvs
 from hrl_escape.settings import read_record, replace_settings
 from studies.statistics import find_lasting
+from studies.store import Line
 
 __all__ = ["FlatLearner", "FlatRun", "RepeatedStreams", "TENTHS", "count_untrained", "read_learner"]
 
@@ -45,7 +46,7 @@ class FlatLearner:
 
 
 @dataclass(frozen=True)
-class FlatRun:
+class FlatRun(Line):
     """Result of a run.
 
     Attributes:
@@ -78,10 +79,7 @@ class FlatRun:
     seconds: float
     key: str
 
-    @property
-    def place(self) -> tuple[str, int, int, int]:
-        """Subject of the line."""
-        return self.agent, self.buttons, self.seed, self.budget
+    PLACE = ("agent", "buttons", "seed", "budget")
 
     @property
     def efficiency(self) -> float:

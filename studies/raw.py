@@ -18,6 +18,7 @@ from hrl_escape.benchmark.statistics import compute_efficiency, compute_score
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import FileReadError, describe_damage
 from hrl_escape.files import read_text
+from studies.store import Line
 
 __all__ = ["BINS", "OPTIMAL_SCORE", "RawRun", "collect_runs"]
 
@@ -32,7 +33,7 @@ Axis = Literal["primitives", "decisions"]
 
 
 @dataclass(frozen=True)
-class RawRun:
+class RawRun(Line):
     """Result of one run of a study.
 
     Attributes:
@@ -95,10 +96,7 @@ class RawRun:
         if self.budget < 1 or self.best <= self.worst:
             raise ValueError("a budget below 1, or a best return that is not above the worst")
 
-    @property
-    def place(self) -> tuple[str, str, str, int]:
-        """Subject of the line."""
-        return self.grid, self.agent, self.room, self.seed
+    PLACE = ("grid", "agent", "room", "seed")
 
     @property
     def at(self) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ import dataclasses
 import json
 from collections.abc import Hashable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.files import read_text, write_text
@@ -24,15 +24,17 @@ HEADER = '{"format":2}'
 """First line of a file of results."""
 
 
-class Line(Protocol):
-    """Frozen dataclass of plain values; each instance is a line."""
+@dataclasses.dataclass(frozen=True)
+class Line:
+    """Base of lines: frozen dataclasses of plain values."""
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]
+    PLACE: ClassVar[tuple[str, ...]] = ()
+    """Attributes that are the subject of a line: a later one about the same counts in its place."""
 
     @property
-    def place(self) -> Hashable:
-        """Subject of the line: a later one about the same counts in its place."""
-        ...
+    def place(self) -> tuple[Any, ...]:
+        """Values of these attributes."""
+        return tuple(getattr(self, name) for name in self.PLACE)
 
 
 def read_rows(path: Path) -> list[str]:

@@ -27,7 +27,7 @@ from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.across.candidates import CandidateRun, list_candidates, run_candidate
 from studies.running import StudyArgs, make_missing
-from studies.store import Store
+from studies.store import Line, Store
 from studies.study import Findings, Study
 from studies.tables import make_table
 from studies.titles import find_title
@@ -48,7 +48,7 @@ class Args(StudyArgs):
 
 
 @dataclasses.dataclass(frozen=True)
-class AcrossRun:
+class AcrossRun(Line):
     """A reference in the test rooms of a season.
 
     Attributes:
@@ -69,10 +69,7 @@ class AcrossRun:
     primitives: int
     efficiencies: tuple[float, ...]
 
-    @property
-    def place(self) -> tuple[str, int, str, str, int]:
-        """Subject of the line."""
-        return self.benchmark, self.season, self.rung, self.agent, self.rooms
+    PLACE = ("benchmark", "season", "rung", "agent", "rooms")
 
 
 LINES = (AcrossRun, CandidateRun)

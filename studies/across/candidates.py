@@ -22,6 +22,7 @@ from hrl_escape.env.sampling.generation import sample_puzzle
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.across.attention import fit, weigh
+from studies.store import Line
 
 __all__ = ["CandidateRun", "count_wrong", "list_candidates", "make_orders", "run_candidate"]
 
@@ -30,7 +31,7 @@ Weigh = Callable[[RoomOrder, Sequence[int]], Sequence[float] | None]
 
 
 @dataclasses.dataclass(frozen=True)
-class CandidateRun:
+class CandidateRun(Line):
     """Wrong presses of a learner in the test rooms of a season.
 
     Attributes:
@@ -49,10 +50,7 @@ class CandidateRun:
     rooms: int
     wrong: float
 
-    @property
-    def place(self) -> tuple[str, int, str, str, int]:
-        """Subject of the line."""
-        return self.benchmark, self.season, self.rung, self.learner, self.rooms
+    PLACE = ("benchmark", "season", "rung", "learner", "rooms")
 
 
 def list_candidates(data: Mapping[str, Any]) -> Iterator[CandidateRun]:

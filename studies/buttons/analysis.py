@@ -32,7 +32,7 @@ from studies.running import StudyArgs
 from studies.scaling.results import RoomKind
 from studies.scaling.rounds import make_room
 from studies.statistics import Difference, compare_signs
-from studies.store import Store
+from studies.store import Line, Store
 from studies.study import Findings, Study
 from studies.tables import make_table
 
@@ -55,7 +55,7 @@ class Args(StudyArgs):
 
 
 @dataclasses.dataclass(frozen=True)
-class EscapeRun:
+class EscapeRun(Line):
     """A run until its first escape.
 
     Attributes:
@@ -74,10 +74,7 @@ class EscapeRun:
     budget: int
     first_escape: int | None
 
-    @property
-    def place(self) -> tuple[str, int, float, int]:
-        """Subject of the line."""
-        return self.agent, self.buttons, self.width, self.run
+    PLACE = ("agent", "buttons", "width", "run")
 
 
 LINES = (EscapeRun,)

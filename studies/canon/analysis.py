@@ -29,7 +29,7 @@ from studies.controls import chooses_presses
 from studies.figures import Theme, make_figure, write_label
 from studies.running import NO_TRAINING, StudyArgs, refuse_failures
 from studies.statistics import Difference, compare_strata, find_lasting
-from studies.store import Store
+from studies.store import Line, Store
 from studies.study import Findings, Study
 from studies.tables import format_gain, make_table
 
@@ -63,7 +63,7 @@ class Args(StudyArgs):
 
 
 @dataclasses.dataclass(frozen=True)
-class CanonRun:
+class CanonRun(Line):
     """Result of one run.
 
     Attributes:
@@ -92,10 +92,7 @@ class CanonRun:
     seconds: float
     key: str
 
-    @property
-    def place(self) -> tuple[str, int, str, int]:
-        """Subject of the line: another line about the same replaces it."""
-        return self.agent, self.candidate, self.room, self.primitives
+    PLACE = ("agent", "candidate", "room", "primitives")
 
     @property
     def kind(self) -> str:

@@ -24,7 +24,7 @@ from studies.figures import Theme, make_figure, write_label
 from studies.parts.analysis import make_config
 from studies.parts.answers import PartsRun
 from studies.running import StudyArgs, make_missing
-from studies.store import Store
+from studies.store import Line, Store
 from studies.study import Findings, Study, find_study
 from studies.tables import make_table
 
@@ -45,7 +45,7 @@ class Args(StudyArgs):
 
 
 @dataclasses.dataclass(frozen=True)
-class SearchRun:
+class SearchRun(Line):
     """A run of search with memory until its first escape.
 
     Attributes:
@@ -62,10 +62,7 @@ class SearchRun:
     budget: int
     first_escape: int | None
 
-    @property
-    def place(self) -> tuple[str, int, int]:
-        """Subject of the line."""
-        return self.rule, self.buttons, self.seed
+    PLACE = ("rule", "buttons", "seed")
 
 
 LINES = (SearchRun,)

@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from hrl_escape.benchmark.statistics import LEAST_RUNS
 from hrl_escape.errors import ComparisonError
@@ -26,6 +27,7 @@ from studies.price.ratios import COSTS, CostRatio, correct_prices, find_middle
 from studies.price.runs import CONTESTANTS, PriceRun
 from studies.running import open_store
 from studies.statistics import compute_median_interval
+from studies.store import Line
 from studies.study import Findings, Study, find_study
 from studies.tables import make_table
 from studies.titles import find_title
@@ -40,7 +42,7 @@ Course: TypeAlias = Literal["whole", "first escape", "none", "later"]
 
 
 @dataclasses.dataclass(frozen=True)
-class SearcherRun:
+class SearcherRun(Line):
     """First escape of the search baseline.
 
     Attributes:
@@ -55,10 +57,7 @@ class SearcherRun:
     seed: int
     escaped_at: int | None
 
-    @property
-    def place(self) -> tuple[str, int, int]:
-        """Subject of the line."""
-        return self.searcher, self.buttons, self.seed
+    PLACE = ("searcher", "buttons", "seed")
 
 
 LINES = (FlatRun, SearcherRun)
@@ -367,5 +366,6 @@ def draw(cells: Cells, searched: Mapping[tuple[int, int], tuple[float, bool]], s
                  ylabel="primitives")
         axes.set_xticks(range(len(sizes)), [str(size) for size in sizes])
         mark_counts(axes.yaxis)
+        axes.yaxis.set_minor_locator(NullLocator())
 
     return make_figure(theme, paint, height=3.9)

@@ -20,6 +20,7 @@ from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.inference import LEVEL, compute_interval
 from hrl_escape.benchmark.statistics import LEAST_RUNS, compute_mean
 from hrl_escape.errors import ComparisonError
+from studies.store import Line
 from studies.tables import make_table
 
 __all__ = ["DialLine", "DialPlace", "PlacedOption", "find_best_option", "place_lines", "place_on_dial",
@@ -29,7 +30,7 @@ PLANNED = "planned"
 
 
 @dataclasses.dataclass(frozen=True)
-class DialLine:
+class DialLine(Line):
     """Mean worth of calls of one option.
 
     Attributes:

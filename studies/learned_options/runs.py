@@ -30,6 +30,7 @@ from studies.archive import ArchiveSettings, explore
 from studies.flat import RepeatedStreams
 from studies.learned_options.streams import OptionEnvs, WatchedEnvs
 from studies.parts.analysis import make_config
+from studies.store import Line
 
 __all__ = ["OPEN", "TRIAL", "UNSEEN", "Learner", "ScaleRun", "choose_settings", "list_jobs", "list_learners",
            "make_run"]
@@ -74,7 +75,7 @@ class Learner:
 
 
 @dataclasses.dataclass(frozen=True)
-class ScaleRun:
+class ScaleRun(Line):
     """A run; a job is one without results.
 
     Attributes:

@@ -17,6 +17,7 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.names import count_nouns
 from studies.figures import Theme, make_figure, write_label
 from studies.statistics import Mean, compute_mean
+from studies.store import Line
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
@@ -27,7 +28,7 @@ FEW = 16
 
 
 @dataclasses.dataclass(frozen=True)
-class MarksRun:
+class MarksRun(Line):
     """A run, tested in unseen rooms.
 
     Attributes:
@@ -50,10 +51,7 @@ class MarksRun:
     efficiency: float
     escapes: float
 
-    @property
-    def place(self) -> tuple[str, str, int, int]:
-        """Subject of the line."""
-        return self.agent, self.rung, self.rooms, self.seed
+    PLACE = ("agent", "rung", "rooms", "seed")
 
 
 LINES = (MarksRun,)

@@ -35,7 +35,7 @@ from hrl_escape.sets.benchmark import load_benchmark
 from studies.figures import Theme, make_figure, write_label
 from studies.running import StudyArgs, make_missing
 from studies.statistics import Mean, compare_signs, compute_mean
-from studies.store import Store
+from studies.store import Line, Store
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
@@ -58,7 +58,7 @@ class Args(StudyArgs):
 
 
 @dataclasses.dataclass(frozen=True)
-class OfflineResult:
+class OfflineResult(Line):
     """Efficiency of one learner with one data set in one room, or in rooms that the data does not hold.
 
     Attributes:
@@ -74,10 +74,7 @@ class OfflineResult:
     run: int
     efficiency: float
 
-    @property
-    def place(self) -> tuple[str, str, int]:
-        """Subject of the line."""
-        return self.agent, self.kind, self.run
+    PLACE = ("agent", "kind", "run")
 
 
 LINES = (OfflineResult,)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.benchmark.inference import ALPHA
 from studies.statistics import compare_signs
+from studies.store import Line
 
 __all__ = ["Answer", "Exchange", "Law", "PartsRun", "answer", "choose_slope", "find_exchange", "fit_law", "is_given_up"]
 
@@ -25,7 +26,7 @@ Logs = dict[tuple[int, int], float]
 
 
 @dataclasses.dataclass(frozen=True)
-class PartsRun:
+class PartsRun(Line):
     """A run until its first escape, and near the best where that is waited for.
 
     Attributes:
@@ -49,10 +50,7 @@ class PartsRun:
     near_best: int | None
     design: str
 
-    @property
-    def place(self) -> tuple[str, str, int, int, float]:
-        """Subject of the line."""
-        return self.cell, self.rule, self.buttons, self.seed, self.failure
+    PLACE = ("cell", "rule", "buttons", "seed", "failure")
 
 
 def is_given_up(runs: Sequence[PartsRun], buttons: int, hopeless: int) -> bool:

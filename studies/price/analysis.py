@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from hrl_escape.files import read_toml
 from hrl_escape.names import join_words
@@ -159,5 +160,6 @@ def draw_price(runs: Sequence[PriceRun], theme: Theme) -> Figure:
                  ylabel="primitives until efficient")
         axes.set_xticks(range(len(BUTTON_COUNTS)), [str(size) for size in BUTTON_COUNTS])
         mark_counts(axes.yaxis)
+        axes.yaxis.set_minor_locator(NullLocator())
 
     return make_figure(theme, draw, height=3.9)

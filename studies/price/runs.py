@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hrl_escape.files import read_toml
+from studies.store import Line
 
 __all__ = ["BUTTON_COUNTS", "CONTESTANTS", "PAIRS", "PriceRun"]
 
@@ -21,7 +22,7 @@ PAIRS: dict[str, str] = _DATA["pairs"]
 
 
 @dataclass(frozen=True)
-class PriceRun:
+class PriceRun(Line):
     """Result of one contestant in one room.
 
     Attributes:
@@ -57,7 +58,4 @@ class PriceRun:
     key: str
     curve: tuple[tuple[int, float], ...] = ()
 
-    @property
-    def place(self) -> tuple[str, int, int]:
-        """Subject of the line."""
-        return self.agent, self.buttons, self.replicate
+    PLACE = ("agent", "buttons", "replicate")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_edges_that_matter
 from hrl_escape.env.puzzles.mixins import Graphed, get_mixin
+from studies.store import Line
 
 __all__ = ["RoomKind", "ScalingRun", "compute_edge_depth", "measure_depth"]
 
@@ -28,7 +29,7 @@ class RoomKind(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ScalingRun:
+class ScalingRun(Line):
     """Result of a run.
 
     Attributes:
@@ -72,10 +73,7 @@ class ScalingRun:
         """Kind of its room."""
         return RoomKind(self.graph, self.buttons, self.rule)
 
-    @property
-    def place(self) -> tuple[RoomKind, str, int]:
-        """Subject of the line."""
-        return self.task, self.agent, self.run
+    PLACE = ("task", "agent", "run")
 
 
 def measure_depth(room: RoomInstance) -> int:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from hrl_escape.errors import ComparisonError
 from studies.figures import Theme, make_figure, write_label
 from studies.statistics import Mean, compute_mean
+from studies.store import Line
 from studies.study import Findings, Study
 from studies.tables import format_interval, make_table
 
@@ -20,7 +21,7 @@ __all__ = ["LINES", "FloorRun", "analyse"]
 
 
 @dataclasses.dataclass(frozen=True)
-class FloorRun:
+class FloorRun(Line):
     """Episodes of one agent in one room of the sequences.
 
     Attributes:
@@ -35,10 +36,7 @@ class FloorRun:
     floor: int
     efficiencies: tuple[float, ...]
 
-    @property
-    def place(self) -> tuple[str, bool, int]:
-        """Subject of the line."""
-        return self.agent, self.repeats, self.floor
+    PLACE = ("agent", "repeats", "floor")
 
 
 LINES = (FloorRun,)
