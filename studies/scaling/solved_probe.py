@@ -31,7 +31,7 @@ GRAPH_EVERY = 100
 
 
 class SolvedProbe(Stateful):
-    """Measures whether an agent has solved its room. A random agent has with its first escape, as it learns nothing.
+    """Measures whether an agent has solved its room. For a random agent that is its first escape.
 
     Args:
         least: score near the best, from no escape (0) to the best return of the agent's actions (1).

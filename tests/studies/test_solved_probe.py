@@ -54,7 +54,7 @@ def test_a_policy_near_the_best_counts_from_the_first_of_two_checks_after_an_esc
     known = ScoreRange(-200.0, ((0.0,),), (91.0,), (91.0,), (9.0,), (9.0,), "planner")
     probes = [SolvedProbe(0.99, env, room, AgentSpec(name), known)
               for name in ("smdp-q-learning", "random-options")]
-    for at, success in ((100, False), (250, False), (400, True), (450, False), (600, False)):
+    for at, success in ((100, False), (250, False), (400, True), (450, False), (900, False)):
         for probe in probes:
             probe.after_episode(agent, EpisodeRecord(at, at, 0.0, 10, success, "terminated", 0.0))
     assert [probe.near_best for probe in probes] == [400, None]
