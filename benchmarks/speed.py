@@ -14,7 +14,7 @@ line.
 
 from __future__ import annotations
 
-import argparse
+import dataclasses
 import datetime
 import json
 import os
@@ -25,8 +25,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
+from hrl_escape.cli import run_script
+from hrl_escape.errors import FileReadError
+
+Part: TypeAlias = Literal["first-use", "rooms", "batch", "learning", "options"]
 HISTORY, FIGURE = Path(__file__).with_name("speed.jsonl"), Path(__file__).parents[1] / "docs/images/speed.svg"
 PRESETS = ("paper-two-button", "clutter", "door-key", "key-corridor", "sokoban", "key-chest", "puddle-world")
 FIRST_PLAN = "from hrl_escape.cli import main; main(['solve', '--room', 'clutter', '--json'])"
@@ -161,37 +165,47 @@ def draw_history(runs: list[dict[str, Any]], path: Path = FIGURE) -> None:
     save_figure(path, figure)
 
 
-def main() -> None:
+@dataclasses.dataclass
+class Args:
+    """What to measure."""
+
+    parts: tuple[Part, ...] = tuple(PARTS)
+    """Parts of the table."""
+    quick: bool = False
+    """Small sizes and short measurements."""
+    dry: bool = False
+    """Print only; the history stays."""
+    table: bool = False
+    """Print the last run, draw the history, and do no more."""
+    part: Part | None = None
+    """Measure one part in this process and print its rows as JSON."""
+
+
+def run(args: Args) -> int:
     """Measure, append and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--parts", nargs="+", choices=list(PARTS), default=list(PARTS))
-    parser.add_argument("--quick", action="store_true", help="small sizes and short measurements")
-    parser.add_argument("--dry", action="store_true", help="print only; the history stays")
-    parser.add_argument("--table", action="store_true", help="print the last run and draw the history, and do no more")
-    parser.add_argument("--part", choices=list(PARTS), help=argparse.SUPPRESS)  # of a child process
-    arguments = parser.parse_args()
-    if arguments.part:
-        print(json.dumps(PARTS[arguments.part](arguments.quick)))
-        return
-    if not arguments.table:
-        run = {**describe_run(), "rows": []}
-        for part in arguments.parts:
+    if args.part is not None:
+        print(json.dumps(PARTS[args.part](args.quick)))
+        return 0
+    if not args.table:
+        measured = {**describe_run(), "rows": []}
+        for part in args.parts:
             print(f"measuring {part} ...", file=sys.stderr, flush=True)
-            command = [sys.executable, "-m", "benchmarks.speed", "--part", part, *["--quick"] * arguments.quick]
+            command = [sys.executable, "-m", "benchmarks.speed", "--part", part, *["--quick"] * args.quick]
             done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-            run["rows"] += json.loads(done.stdout.splitlines()[-1])
-        print(make_table(run))
-        if arguments.dry:
-            return
+            measured["rows"] += json.loads(done.stdout.splitlines()[-1])
+        print(make_table(measured))
+        if args.dry:
+            return 0
         with HISTORY.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(run) + "\n")
+            file.write(json.dumps(measured) + "\n")
     runs = read_history()
     if not runs:
-        parser.error(f"{HISTORY.name} has no run yet: leave out --table to make one")
+        raise FileReadError(f"{HISTORY} has no run yet: leave out --table to make one")
     draw_history(runs)
-    if arguments.table:
+    if args.table:
         print(make_table(runs[-1]))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run_script(run))

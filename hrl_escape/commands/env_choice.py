@@ -8,7 +8,7 @@ from hrl_escape.benchmark.env_spec import EnvSpec
 from hrl_escape.errors import UnsupportedError
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, kw_only=True)
 class EnvChoice:
     """Options that choose an environment from elsewhere, inherited by dataclasses of commands."""
 

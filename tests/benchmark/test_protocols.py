@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from benchmarks.ladder import find_miscalibration, find_steps
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.agent_env import make_agent_env
@@ -14,7 +15,6 @@ from hrl_escape.benchmark.summary import summarise
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.room_spec import RoomSpec
-from studies.ladder.calibration import find_miscalibration, find_steps
 from tests.benchmark.made_up import compare
 
 BENCH = load_benchmark("ladder-1")
