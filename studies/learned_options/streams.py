@@ -23,26 +23,11 @@ from hrl_escape.agents.state import StateTree
 __all__ = ["OptionEnvs", "WatchedEnvs"]
 
 
-class WatchedEnvs:
-    """Many environments, and counts of their episodes in equal parts of a budget.
+class _Around:
+    """Parts of many environments that stay as they are around them."""
 
-    Args:
-        envs: `ManyEnvs`.
-        fewest: primitives of the best known escape from the room.
-        budget: primitives of the run.
-        parts: of the budget.
-    """
-
-    def __init__(self, envs: Any, fewest: int, budget: int, parts: int) -> None:
-        self._envs, self._fewest, self._budget, self._parts = envs, fewest, budget, parts
-        self.count = envs.count
-        self.observation_space, self.action_space = envs.observation_space, envs.action_space
-        self.primitives = 0
-        """Primitives of the decisions that ended."""
-        self.first_escape: int | None = None
-        """These primitives when the first episode escaped."""
-        self.totals = torch.zeros((parts, 3), dtype=torch.float64)
-        """Episodes that ended in each part, escapes among them, and the sum of their efficiency, (parts, 3)."""
+    def __init__(self, envs: Any) -> None:
+        self._envs, self.count, self.observation_space = envs, envs.count, envs.observation_space
 
     @property
     def gamma(self) -> float:
@@ -59,6 +44,32 @@ class WatchedEnvs:
         """Observations now, (environments, ...)."""
         return self._envs.observation
 
+    def describe(self) -> Mapping[str, Any]:
+        """Arguments of the environments, as JSON values."""
+        return self._envs.describe()
+
+
+class WatchedEnvs(_Around):
+    """Many environments, and counts of their episodes in equal parts of a budget.
+
+    Args:
+        envs: `ManyEnvs`.
+        fewest: primitives of the best known escape from the room.
+        budget: primitives of the run.
+        parts: of the budget.
+    """
+
+    def __init__(self, envs: Any, fewest: int, budget: int, parts: int) -> None:
+        super().__init__(envs)
+        self._fewest, self._budget, self._parts = fewest, budget, parts
+        self.action_space = envs.action_space
+        self.primitives = 0
+        """Primitives of the decisions that ended."""
+        self.first_escape: int | None = None
+        """These primitives when the first episode escaped."""
+        self.totals = torch.zeros((parts, 3), dtype=torch.float64)
+        """Episodes that ended in each part, escapes among them, and the sum of their efficiency, (parts, 3)."""
+
     @property
     def action_mask(self) -> Tensor:
         """Actions legal now, bool (environments, actions)."""
@@ -68,10 +79,6 @@ class WatchedEnvs:
     def is_waiting(self) -> Tensor:
         """Environments that take an action, bool (environments,)."""
         return self._envs.is_waiting
-
-    def describe(self) -> Mapping[str, Any]:
-        """Arguments of the environments, as JSON values."""
-        return self._envs.describe()
 
     def set_option_discount(self, gamma: float) -> None:
         """Set the discount per primitive of environments with options."""
@@ -106,7 +113,7 @@ class WatchedEnvs:
         return done
 
 
-class OptionEnvs:
+class OptionEnvs(_Around):
     """Many environments whose actions are the options that an agent has learned, which no longer change.
 
     An option ends by its termination, after `longest` primitives, or with the episode.
@@ -118,20 +125,10 @@ class OptionEnvs:
     """
 
     def __init__(self, envs: Any, agent: OptionRolloutAgent, longest: int) -> None:
-        self._envs, self._heads, self._longest = envs, agent.heads, longest
+        super().__init__(envs)
+        self._heads, self._longest = agent.heads, longest
         self._encoder = ObservationEncoder(envs.observation_space, agent.settings.scale_observations)
-        self.count, self.gamma, self.observation_space = envs.count, envs.gamma, envs.observation_space
         self.action_space = gymnasium.spaces.Discrete(agent.options)
-
-    @property
-    def device(self) -> torch.device:
-        """Device of all tensors."""
-        return self._envs.device
-
-    @property
-    def observation(self) -> Tensor:
-        """Observations now, (environments, ...)."""
-        return self._envs.observation
 
     @property
     def action_mask(self) -> Tensor:
@@ -142,10 +139,6 @@ class OptionEnvs:
     def is_waiting(self) -> Tensor:
         """Environments whose option has ended, bool (environments,)."""
         return (self._option < 0) & self._envs.is_waiting
-
-    def describe(self) -> Mapping[str, Any]:
-        """Arguments of the environments, as JSON values; options are not among them."""
-        return self._envs.describe()
 
     def reset(self, seeds: int) -> None:
         """Begin all episodes; the options' draws follow the seeds."""
