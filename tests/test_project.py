@@ -173,14 +173,11 @@ def list_names(source: str) -> set[str]:
 
 
 def find_homonyms(modules: dict[Path, str]) -> dict[str, list[Path]]:
-    """Names that more than one module defines.
-
-    Each command has its `run`, or `run_NAME` beside others; modules that load PyBullet when used call it `pybullet`.
-    """
+    """Names that more than one module defines. Each command has its `run`, or `run_NAME` beside others."""
     homes: dict[str, list[Path]] = {}
     for path, source in modules.items():
         commands = {name for name in list_names(source) if name.startswith("run_") and "commands" in path.parts}
-        for name in list_names(source) - {"run", "pybullet"} - commands:
+        for name in list_names(source) - {"run"} - commands:
             homes.setdefault(name, []).append(path)
     return {name: paths for name, paths in homes.items()
             if len(paths) > 1 and sorted(path.parent for path in paths) != TENSOR_FORMS

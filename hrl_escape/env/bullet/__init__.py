@@ -1,7 +1,7 @@
 """The Bullet engine: one room, kinematic or rigid, its cameras, its window, and pybullet's clients.
 
-`load_pybullet` imports pybullet, without the line that its C code writes to stderr. All other output of C libraries is
-passed on. Physics, the window and the cameras need pybullet; kinematic rooms step without it.
+`pybullet` of this module is imported on first use, without the line that its C code writes to stderr. All other output
+of C libraries is passed on. Physics, the window and the cameras need pybullet; kinematic rooms step without it.
 """
 
 from __future__ import annotations
@@ -51,6 +51,13 @@ def load_pybullet() -> Any:
         raise MissingExtraError("pybullet", "bullet", "physics and Bullet's pictures (kinematic rooms step without it)"
                                 ) from error
     return pybullet
+
+
+def __getattr__(name: str) -> Any:
+    """Import pybullet for modules that name it; raises as `load_pybullet`."""
+    if name == "pybullet":
+        return load_pybullet()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def is_connected(client: int) -> bool:

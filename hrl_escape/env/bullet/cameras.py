@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from hrl_escape.env.bullet import connect, disconnect, load_pybullet
+from hrl_escape.env.bullet import connect, disconnect, pybullet
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.env.geometry import Footprint, make_footprint
@@ -38,7 +38,6 @@ from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.files import temporary_folder
 
-pybullet = load_pybullet()
 SUN = (-4.0, 2.6, 9.0)
 """Direction of the light, the same as for the shadows of `meshes.py`."""
 CURB = 0.3

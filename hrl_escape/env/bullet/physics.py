@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
-from hrl_escape.env.bullet import connect, disconnect, load_pybullet
+from hrl_escape.env.bullet import connect, disconnect, pybullet
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Start, compute_floors
@@ -38,7 +38,6 @@ from hrl_escape.env.urdf import drop_shapes
 from hrl_escape.errors import StateError, UnsupportedError, show_value
 from hrl_escape.files import temporary_folder
 
-pybullet = load_pybullet()
 RATE = 240
 """Sub-steps of Bullet per second of simulated time."""
 PRESS_FORCE = 5.0
