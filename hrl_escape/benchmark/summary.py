@@ -124,6 +124,11 @@ class AgentSummary:
         return self.spec.label
 
     @property
+    def is_trained(self) -> bool:
+        """True if the agent made decisions in training, as learners do, and references that remember episodes."""
+        return self.decisions > 0
+
+    @property
     def runs(self) -> int:
         """Number of finished runs."""
         return sum(len(room) for room in self.efficiencies)

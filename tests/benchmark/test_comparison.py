@@ -21,7 +21,8 @@ import pytest
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison, Shard, count_missing, read_comparison
 from hrl_escape.benchmark.launching.local import LocalLauncher, read_progress
-from hrl_escape.benchmark.reporting.report import write_report, write_tables
+from hrl_escape.benchmark.reporting.figures import is_level
+from hrl_escape.benchmark.reporting.report import format_first_escape, write_report, write_tables
 from hrl_escape.benchmark.run_results import get_run_folder, load_run_result, read_episodes
 from hrl_escape.benchmark.summary import summarise
 from hrl_escape.cli import main
@@ -311,6 +312,16 @@ def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: P
     comparison = run_quietly(change(runs=1, agents=["random"], primitives=60), tmp_path / "out", Deleting(1))
     with pytest.raises(EscapeError, match="no such"):
         write_report(comparison, "hrl-escape compare")
+
+
+def test_a_reference_that_trains_has_a_first_escape_and_a_band(tmp_path: Path):
+    grid = change(agents=("random-options", "search-memory", "oracle"), runs=1, primitives=160, eval_every=160)
+    random, memory, oracle = summarise(run_quietly(grid, tmp_path)).agents
+    assert [each.is_trained for each in (random, memory, oracle)] == [True, True, False]
+    assert [is_level(each) for each in (random, memory, oracle)] == [True, False, True]
+    assert format_first_escape(oracle) == "no training"
+    first = memory.first_escape.value
+    assert first < 160 and format_first_escape(memory) == f"{first:,.0f} (1 of 1)"
 
 
 @pytest.mark.nightly

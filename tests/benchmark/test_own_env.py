@@ -102,7 +102,6 @@ def test_without_a_known_optimum_agents_are_compared_by_their_returns(comparison
     assert "The reference return is -6; `" in said and not re.search("escape|room|efficiency", said)
 
 
-@pytest.mark.nightly
 def test_the_report_is_that_of_rooms_without_their_parts(comparison: Comparison, tmp_path: Path):
     write_report(comparison, "compare(...)", tmp_path)
     page = (tmp_path / "report.html").read_text()

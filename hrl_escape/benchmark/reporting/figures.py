@@ -16,7 +16,7 @@ from matplotlib.ticker import FuncFormatter
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.rung_references import RungReferences
-from hrl_escape.benchmark.summary import Summary, summarise
+from hrl_escape.benchmark.summary import AgentSummary, Summary, summarise
 from hrl_escape.env.pictures import palette
 from hrl_escape.env.pictures.maps import make_map
 from hrl_escape.figures import STYLE, get_figure_class, save_figure
@@ -51,9 +51,9 @@ def choose_styles(specs: Sequence[AgentSpec]) -> list[AgentStyle]:
     return found
 
 
-def is_level(spec: AgentSpec) -> bool:
-    """Return whether an agent has no training and is drawn as a thin level line without a band."""
-    return spec.is_reference or not spec.learns
+def is_level(agent: AgentSummary) -> bool:
+    """Return whether an agent does not learn and is drawn as a thin level line without a band."""
+    return not agent.spec.learns and not (agent.spec.is_reference and agent.is_trained)
 
 
 def _darken(colour: str) -> str:
@@ -116,10 +116,10 @@ def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         x = getattr(agent.curve, against)
         middle, low, high = agent.curve.metrics[metric]
-        if not is_level(agent.spec):
+        if not is_level(agent):
             axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
         axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", label=agent.spec.title,
-                  linewidth=0.9 if is_level(agent.spec) else 1.8)
+                  linewidth=0.9 if is_level(agent) else 1.8)
     if metric == "return" and summary.grid.env is not None and summary.grid.env.reference is not None:
         axes.axhline(summary.grid.env.reference, color=palette.MUTED, linewidth=0.9, linestyle=":", label="reference")
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))

@@ -172,8 +172,8 @@ def describe_place(place: RunPlace | EnvPlace) -> str:
 
 
 def format_first_escape(agent: AgentSummary) -> str:
-    """Format the restricted mean of primitives to the first escape, as `1,234 (8 of 8 runs)`; empty for references."""
-    if agent.spec.is_reference:
+    """Format the restricted mean of primitives to the first escape, as `1,234 (8 of 8)`, or `no training`."""
+    if not agent.is_trained:
         return "no training"
     return f"{agent.first_escape.value:,.0f} ({agent.escaped_runs} of {agent.runs})"
 
@@ -190,7 +190,7 @@ def write_report(comparison: Comparison, command: str, folder: Path | None = Non
     Args:
         comparison: the comparison.
         command: command or call that reproduces it.
-        folder: folder of the files; by default that of the comparison.
+        folder: folder of the files; by default the comparison's.
 
     Returns:
         The summary.
@@ -462,7 +462,7 @@ def _describe_agent(agent: AgentSummary, look: AgentStyle) -> dict[str, Any]:
         "colour": look.colour,
         "text": look.text,
         "dash": look.is_dashed,
-        "is_level": is_level(agent.spec),
+        "is_level": is_level(agent),
         "curve": _describe_curve(agent.curve),
         "room_curves": [None if curve is None else _describe_curve(curve) for curve in agent.room_curves],
         "profile": _round(agent.profile),
