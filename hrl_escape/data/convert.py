@@ -16,7 +16,7 @@ from hrl_escape.agents.old_fields import rename_fields
 from hrl_escape.data.recording import RECORDING_FORMAT, load_recording, save_recording
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import EscapeError, FileReadError, VerificationError
+from hrl_escape.errors import EscapeError, FileReadError, InstanceFileError, VerificationError
 from hrl_escape.files import list_members, parse_json, read_json, read_text, write_json
 from hrl_escape.names import number_options
 from hrl_escape.options.meta_actions import list_goals
@@ -128,7 +128,10 @@ def _convert_json(path: Path, out: Path) -> str | None:
         return _convert_episode(path, content, out)
     if {"schema", "puzzle", "targets"} <= content.keys():
         content.pop("id", None)
-        room = _renew_instance(content)
+        try:
+            room = _renew_instance(content)
+        except InstanceFileError as error:
+            raise InstanceFileError(f"{path}: {error}") from None
         room.save(out)
         return f"the room {room.name}"
     return None

@@ -14,7 +14,7 @@ from hrl_escape.data.recording import load_recording, save_recording
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import FileReadError, OldFormatError, VerificationError
+from hrl_escape.errors import FileReadError, InstanceFileError, OldFormatError, VerificationError
 from hrl_escape.sets.changes import change_config
 from hrl_escape.text import load_games, record_game, save_games
 from hrl_escape.viewer.play.episode import Episode, load_episode, save_episode
@@ -105,6 +105,11 @@ def test_symbols_of_buttons_get_their_new_name_in_a_saved_room(tmp_path: Path):
         RoomInstance.load(tmp_path / "old.json")
     assert convert_data(tmp_path / "old.json", tmp_path / "new.json") == f"the room {room.name}"
     assert (tmp_path / "new.json").read_bytes() == (tmp_path / "now.json").read_bytes()
+    content["puzzle"]["edge_list"] = [[0, 9]]
+    (tmp_path / "old.json").write_text(json.dumps(content))
+    with pytest.raises(InstanceFileError, match=r"old\.json: not a room instance: .*9"):
+        convert_data(tmp_path / "old.json", tmp_path / "another.json")
+    assert not (tmp_path / "another.json").exists()
 
 
 def test_fields_get_their_new_names_at_any_depth():
