@@ -303,7 +303,8 @@ class _Search:
                 near = compute_distance_many(centres, shape) <= reach + PASSAGE_SLACK + 2 * space.resolution
             self._work.spend(len(cells) / 2)
             seeds = near.reshape(free.shape)
-            self._distances[index] = spread_waves(free, seeds & free if (seeds & free).any() else seeds)
+            on_floor = seeds & free
+            self._distances[index] = spread_waves(free, on_floor if on_floor.any() else seeds)
         return self._distances[index]
 
     # --- one leg -----------------------------------------------------------------------
@@ -348,7 +349,10 @@ class _Search:
 
 def read_nearest(waves: NDArray[np.float64], i: int, j: int) -> float:
     """Return the value of the finite cell that is nearest to cell (i, j); the lowest j, then i, of several."""
-    reach = 0
+    here = float(waves[i, j])
+    if math.isfinite(here):
+        return here
+    reach = 1
     while True:
         low_i, low_j = max(i - reach, 0), max(j - reach, 0)
         window = waves[low_i : i + reach + 1, low_j : j + reach + 1]
