@@ -51,7 +51,6 @@ REGISTERED = ("study.toml", "questions.md")
 ONE_ROOM = "one room"
 
 
-
 @dataclasses.dataclass(frozen=True)
 class Args(StudyArgs):
     """Options of the study."""

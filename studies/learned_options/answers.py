@@ -6,10 +6,11 @@ A comparison needs the same rooms in both cells, at least as many as registered;
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
+from hrl_escape.benchmark.inference import ALPHA
 from studies.crossover.analysis import Ratio, estimate_ratio
 from studies.learned_options.runs import ScaleRun
 from studies.statistics import Difference, compare_signs
@@ -19,10 +20,10 @@ __all__ = ["Cells", "Gain", "Verdict", "choose_flat", "compare_to_flat", "find_c
 
 HALF = 0.5
 """Mean efficiency of training episodes that counts as learning a room, in two parts in a row."""
-ALPHA = 0.05
 
-Cells = Mapping[str, Mapping[int, ScaleRun]]
+Cells: TypeAlias = Mapping[str, Mapping[int, ScaleRun]]
 """Runs of a size and a budget: label -> room -> run."""
+Verdict: TypeAlias = Literal["open", "pays", "costs"]
 
 
 class Gain(NamedTuple):
@@ -45,11 +46,7 @@ class Gain(NamedTuple):
     @property
     def verdict(self) -> Verdict:
         """Registered answer."""
-        return "open" if self.late.p >= ALPHA else "pays" if self.late.mean > 0 else "costs"
-
-
-Verdict = str
-"""`pays`, `costs` or `open`."""
+        return ("open", "pays", "costs")[self.late.sign]
 
 
 def gather_cells(lines: Sequence[ScaleRun], part: str, buttons: int, rooms: range, budgets: Mapping[str, int],

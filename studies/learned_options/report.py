@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.names import count_nouns
 from studies.crossover.analysis import Ratio
-from studies.figures import Theme, make_figure, write_key
+from studies.figures import Theme, make_figure, mark_counts, write_key
 from studies.learned_options.answers import Cells, Gain
 from studies.learned_options.runs import TRIAL, Learner, ScaleRun
 from studies.statistics import compute_median_interval
@@ -119,7 +118,7 @@ def draw_curves(sizes: Mapping[int, Cells], learners: Mapping[str, Learner], lea
                 axes.text(0.5, 0.5, f"no cell with {least} rooms yet", transform=axes.transAxes, ha="center",
                           color=theme.muted)
             axes.set(ylabel=f"efficiency, {count_nouns(buttons, 'button')}", ylim=(0, 1))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+            mark_counts(axes.xaxis)
         write_key(panels[0], [(learners[label].title, colour) for label, colour in
                               zip(SHOWN, theme.lines, strict=True)])
         panels[-1].set_xlabel("primitives of all copies")

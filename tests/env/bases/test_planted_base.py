@@ -182,4 +182,4 @@ def test_the_cache_may_name_outlines_of_bases_that_are_gone():
     outline = pickle.loads(b"chrl_escape.floor.sweeps\nOutline_gone_0123456789ab\n.")
     assert outline is sweeps.Outline_gone_0123456789ab and outline(np.zeros(1)).size.shape == (1,)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        sweeps.nothing  # noqa: B018
+        sweeps.nothing  # noqa: B018  # its lookup raises
