@@ -451,7 +451,7 @@ class Args:
     plans: int = 50
     """Motions of each robot."""
     budget: int = 100_000
-    """Configurations that a search may test; the default is that of `Arm.plan`."""
+    """Configurations that a search may test; by default as many as in `Arm.plan`."""
     robots: tuple[str, ...] = ()
     """Only these robots."""
     pictures: Path | None = None

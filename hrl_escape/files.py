@@ -191,7 +191,7 @@ def list_members(path: str | os.PathLike[str], what: str, largest: int) -> list[
     """Return the names in a zip; see `open_plain` for arguments and errors.
 
     Raises:
-        BadZipFile: the file is no zip, or a damaged one.
+        BadZipFile: the file is not a zip, or is damaged.
     """
     with open_plain(path, what, largest) as file:
         try:

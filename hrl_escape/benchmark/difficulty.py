@@ -32,7 +32,7 @@ from hrl_escape.errors import EscapeError
 from hrl_escape.figures import Pictured
 
 MOST_WALK_STATES = 20_000
-"""States of a room up to which its random walk is solved."""
+"""Most states of a room whose random walk is solved."""
 POSE_DECIMALS = 6
 """Decimals of metres and radians that distinguish two poses."""
 

@@ -158,7 +158,7 @@ class EnvSpec(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class EnvPlace:
-    """Environment in which runs train and are evaluated."""
+    """Environment where runs train and are evaluated."""
 
     name: str  # in tables
     id: str  # hash of its description, and of the code of the functions that make it and its options

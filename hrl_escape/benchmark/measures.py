@@ -9,7 +9,7 @@ from hrl_escape.benchmark.inference import Estimate
 
 
 class Measure(NamedTuple):
-    """Final value by which agents are compared, with its words."""
+    """Final value that agents are compared by, with its words."""
 
     metric: str  # of `RunResult.get_final`
     curve: str  # of `Curve.metrics`

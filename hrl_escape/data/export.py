@@ -77,8 +77,8 @@ def to_minari(data: DataSet | PlayedData, namespace: str = "hrl_escape", folder:
 
     Raises:
         MissingExtraError: Minari is not installed.
-        UnsupportedError: the environment cannot be made again: rooms of no rung, or options that are no function of a
-            module.
+        UnsupportedError: the environment cannot be made again: rooms of no rung, or options that are not a function of
+            a module.
     """
     minari = import_minari()
     with using_minari_folder(folder):

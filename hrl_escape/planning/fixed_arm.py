@@ -76,8 +76,8 @@ class Arm:
             group: planning group of the SRDF, whose joints are planned.
             hand: link whose origin is the hand. By default the tip of the group, the link that carries the SRDF's only
                 end effector, or the end of the longest chain of joints.
-            joints: names of the planned joints, anywhere in the tree. By default those of the group, or all that move
-                the hand.
+            joints: names of the planned joints, anywhere in the tree. By default the joints of the group, or all that
+                move the hand.
             home: positions of joints by name, rad or m. Joints that are not planned are locked there. Other joints
                 are at 0, or in the middle of limits that leave out 0.
             base_pose: placement of the URDF's root link in the world: position (3,), m; position, roll, pitch and yaw
@@ -186,7 +186,7 @@ class Arm:
 
         Raises:
             UnknownNameError: there is no obstacle or link of this name.
-            ConfigError: the angles are no configuration, or the mass is negative.
+            ConfigError: the angles are not a configuration, or the mass is negative.
         """
         obstacle, link = self._get(name), link or self.robot.hand_link
         if not (isinstance(mass, (int, float)) and 0.0 <= mass < 1e6):
@@ -222,7 +222,7 @@ class Arm:
 
         Raises:
             UnknownNameError: no object of this name is attached.
-            ConfigError: the angles are no configuration.
+            ConfigError: the angles are not a configuration.
         """
         held = next((each for each in self.attached if each.obstacle.name == name), None)
         if held is None:
@@ -298,7 +298,7 @@ class Arm:
 
         Raises:
             UnknownNameError: there is no such link or posture.
-            ConfigError: the angles are no configuration within the joint limits.
+            ConfigError: the angles are not a configuration within the joint limits.
         """
         return self._get_kinematics(link).compute_placement(self._read_angles(angles, "angles")[0].tolist())
 
@@ -310,7 +310,7 @@ class Arm:
             margin: distance that counts as a collision already, m.
 
         Raises:
-            ConfigError: the angles are no configuration within the joint limits.
+            ConfigError: the angles are not a configuration within the joint limits.
         """
         at = self._read_angles(angles, "angles")[0].tolist()
         return self._search.get_collisions(margin).is_free(*_HERE, at)
@@ -330,14 +330,14 @@ class Arm:
         Args:
             target: in the world: position of the hand (3,), m; or placement of its link: position, roll, pitch and yaw
                 (6,), m and rad, or a matrix (4, 4).
-            start: joint angles at which the first search begins, (joints,), rad, or the name of a posture.
+            start: joint angles where the first search begins, (joints,), rad, or the name of a posture.
             hand: another link that is brought to the target.
             seeds: searches.
             tolerance: largest distance from the target, m; for a placement also the largest rotation from it, rad.
             only_free: leave out postures in collision.
 
         Raises:
-            ConfigError: the target is neither a position nor a placement, or the start is no configuration.
+            ConfigError: the target is neither a position nor a placement, or the start is not a configuration.
             UnsupportedError: no planned joint moves the hand.
         """
         arm = self._get_kinematics(hand)
@@ -370,7 +370,7 @@ class Arm:
 
         Raises:
             PlanningFailed: there is no path; its reason says why, and names what is too near at start or goal.
-            ConfigError: start or goal is no configuration within the joint limits.
+            ConfigError: start or goal is not a configuration within the joint limits.
             UnknownNameError: there is no such posture or planner.
         """
         return self._search.find_path(_HERE, self._read_angles(start, "start")[0], self._read_angles(goal, "goal"),

@@ -177,7 +177,7 @@ def correct_prices(ratios: Sequence[Sequence[CostRatio]], growths: Sequence[Sequ
                    ) -> list[list[CostRatio]]:
     """Correct p-values and intervals of ratios, cost by cost, as one family with their growths (Holm).
 
-    What has too few replicates, or was left out, is no part of the family.
+    What has too few replicates, or was left out, is not a part of the family.
     """
     asked = [ratio for own in ratios for ratio in own if not ratio.is_short and len(ratio.logs) >= LEAST_RUNS]
     p = [ratio.middle.p for ratio in asked] + [find_middle(own).p for own in growths if len(own) >= LEAST_RUNS]

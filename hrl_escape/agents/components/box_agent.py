@@ -17,7 +17,7 @@ from hrl_escape.agents.decisions import Decisions, Moments
 
 
 class BoxAgent(ReplayAgent):
-    """Base class: random actions during the warm-up, then those of `explore`.
+    """Base class: random actions during the warm-up, then the actions of `explore`.
 
     Replay holds points of the cube [-1, 1]^n.
 

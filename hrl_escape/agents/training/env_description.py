@@ -218,7 +218,7 @@ def make_spec(env: gymnasium.Env) -> EnvSpec:
     It is the environment's own spec where that can be written as JSON, and otherwise one that holds its description.
 
     Raises:
-        UnsupportedError: arguments of the environment cannot be described, such as options that are no function of a
+        UnsupportedError: arguments of the environment cannot be described, such as options that are not a function of a
             module.
     """
     if env.spec is not None and _is_json(env.spec):

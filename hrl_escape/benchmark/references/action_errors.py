@@ -10,7 +10,7 @@ left, and g the goal. A decision should reach the targets T, which depend on the
 | 3 | P without g, U empty | P | exploitation |
 | 4 | P without g, U not empty | U and P | both |
 
-A decision that makes progress is no error. One that leads to no target is an error. One that leads towards one of
+A decision that makes progress is not an error. One that leads to no target is an error. One that leads towards one of
 several targets without progress is an error if it makes the trail since the last progress staler: S = c + e + n, with
 c = edges - nodes + 1 of the trail, an undirected graph, and e and n the visits of edges and nodes beyond the second.
 Each error is divided by the decisions that count for it.

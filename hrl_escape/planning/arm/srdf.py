@@ -35,10 +35,11 @@ def read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[fl
     Returns:
         The text, with `disable_default_collisions` written out as pairs; and joint angles, rad, of the group states
         that name a planned joint. Joints that a state leaves out are at home. A name that several groups use becomes
-        `group/name`. A state with an angle that is no number or beyond the joint's limits is left out with a warning.
+        `group/name`. A state with an angle that is not a number or is beyond the joint's limits is left out with
+        a warning.
 
     Raises:
-        ConfigError: there is no such file, or it is no SRDF or one of another robot.
+        ConfigError: there is no such file, or it is not an SRDF, or belongs to another robot.
     """
     root, where = _parse(source)
     links = {link.get("name", "") for link in ElementTree.fromstring(robot.urdf).findall("link")}
@@ -147,7 +148,7 @@ def _read_postures(root: ElementTree.Element, robot: Robot) -> dict[str, tuple[f
 
 
 def _read_angle(joint: ElementTree.Element, robot: Robot) -> float:
-    """Angle of a joint in a group state, or NaN if it is no number or beyond the limits."""
+    """Angle of a joint in a group state, or NaN if it is not a number or is beyond the limits."""
     name, text = joint.get("name", ""), joint.get("value", "")
     number = robot.joint_names.index(name)
     low, high = robot.limits[number]

@@ -301,7 +301,7 @@ class Hiro(BatchAgent):
     def compute_likelihoods(self, drawn: Mapping[str, Tensor], candidates: Tensor) -> Tensor:
         """Return -1/2 sum over each window of |a_i - mu(s_i, g_i)|^2, (n, candidates) from goals (n, candidates, size).
 
-        The sum is over the states in which actions were chosen; the state at the end of a window is not one.
+        The sum is over the states where actions were chosen; the state at the end of a window is not one.
         """
         views, points, actions = drawn["views"], drawn["points"], drawn["actions"]
         goals = candidates[:, :, None] + (points[:, :1] - points[:, :-1])[:, None]

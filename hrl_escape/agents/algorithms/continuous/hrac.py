@@ -31,12 +31,12 @@ EMBEDDING = 32
 
 @dataclass(frozen=True, kw_only=True)
 class HracSettings(HiroSettings):
-    """Settings of `hrac`: those of `hiro`, and adjacency."""
+    """Settings of `hrac`: all of `hiro`, and adjacency."""
 
     adjacency_weight: Annotated[float, Range(0)] = 20.0
     """eta, weight of the penalty. 0 is HIRO."""
     adjacency_bins: Annotated[int, Range(2)] = 24
-    """Cells of the goal space along each component, in which visits are recorded. More cells distinguish nearer points
+    """Cells of the goal space along each component, which record visits. More cells distinguish nearer points
     and fill more slowly."""
     adjacency_radius: Annotated[float, Range(0, open_low=True)] = 1.0
     """eps, largest embedded distance of adjacent points."""
