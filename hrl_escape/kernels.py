@@ -1,18 +1,21 @@
 """Compiled kernels: one decorator, one cache on disk, and one clock that excludes compilation.
 
 The key of the cache contains the package's version and the code of all kernels, without docstrings and comments. An
-upgrade never loads code that an older version compiled, and all checkouts of the same code share the cache. Compilation
-is announced on stderr. `read_clock` stops while numba compiles or loads a kernel, which keeps that out of every
-measured or limited time.
+upgrade never loads code that an older version compiled, and all checkouts of the same code share the cache. A new cache
+begins with the kernels that `hrl-escape warm` left in the virtual environment. Compilation is announced on stderr.
+`read_clock` stops while numba compiles or loads a kernel, which keeps that out of every measured or limited time.
 Importing this module imports numba.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import hashlib
+import importlib
 import os
 import re
+import shutil
 import sys
 import tempfile
 import threading
@@ -23,8 +26,9 @@ from typing import Any
 
 import numba
 from numba.core import compiler, config, event
-from numba.core.caching import UserProvidedCacheLocator
+from numba.core.caching import FunctionCache, UserProvidedCacheLocator
 from numba.core.codegen import JITCodeLibrary
+from numba.core.runtime.nrt import rtsys
 
 from hrl_escape.version import __version__
 
@@ -37,6 +41,8 @@ The files of single bases are not among them: their code is in the names of the 
 `floor/sweeps.py`.
 """
 
+INSTALLED = Path(sys.prefix, "share", "hrl_escape")
+"""Kernels that were compiled for this installation, a folder named as that of the cache."""
 _PROSE = re.compile(rb"""
     ^[ \t]*\"{3}[\s\S]*?\"{3}                              # a docstring, or the description of an attribute
     | [ \t]*\#.*                                           # a comment
@@ -129,11 +135,27 @@ class SourceLocator(UserProvidedCacheLocator):
         return Path(self._py_file).resolve() in {Path(__file__).resolve().parent / name for name in SOURCES}
 
 
+class _KernelCache(FunctionCache):
+    """Compiled code of a kernel on disk.
+
+    Numba loads all that it knows of NumPy before it looks into the cache, and SciPy's linear algebra with it: a fifth
+    of a first plan. Compiled code needs numba's runtime, and the secret of Python's hashes, alone.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled code for argument types, None if the cache has none."""
+        importlib.import_module("numba.cpython.hashing")
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     before = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
     try:  # only the decorator reads both
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(_FOLDER), f"{__name__}.{SourceLocator.__name__}"
-        compiled = numba.njit(cache=True, **options)(function)
+        compiled = numba.njit(**options)(function)
+        vars(compiled)["_cache"] = _KernelCache(function)
     finally:
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
     _USES[function.__qualname__] = next(
@@ -166,13 +188,38 @@ def make_cache_folder(name: str) -> Path:
     """Return a folder of the package's cache on disk, made if it is missing; NUMBA_CACHE_DIR moves the cache."""
     chosen = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     for base in (Path(chosen).expanduser(), Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"):
+        folder = base / "hrl_escape" / name
         try:
-            (base / "hrl_escape" / name).mkdir(parents=True, exist_ok=True)
+            if not folder.exists():
+                _begin_cache(folder)
+            folder.mkdir(parents=True, exist_ok=True)
         except OSError:
             continue
-        if os.access(base / "hrl_escape" / name, os.W_OK):
-            return base / "hrl_escape" / name
+        if os.access(folder, os.W_OK):
+            return folder
     return Path(tempfile.mkdtemp(prefix="hrl_escape-"))
+
+
+def keep_in_installation() -> bool:
+    """Copy all compiled kernels into the virtual environment, where every new cache finds them; False outside one."""
+    if sys.prefix == sys.base_prefix or not os.access(sys.prefix, os.W_OK):
+        return False
+    shutil.rmtree(INSTALLED, ignore_errors=True)
+    _copy_whole(_FOLDER, INSTALLED / _FOLDER.name)
+    return True
+
+
+def _begin_cache(folder: Path) -> None:
+    """Copy the kernels of the installation into a new cache; one that NUMBA_CACHE_DIR names begins empty."""
+    if not _CONFIG.CACHE_DIR and (INSTALLED / folder.name).is_dir():
+        _copy_whole(INSTALLED / folder.name, folder)
+
+
+def _copy_whole(source: Path, target: Path) -> None:
+    """Copy a folder unless another process does it at once and is first; nobody ever sees a part of it."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent) as scratch, contextlib.suppress(OSError):
+        shutil.copytree(source, Path(scratch, "copy")).rename(target)
 
 
 def strip_prose(source: bytes) -> bytes:

@@ -2,8 +2,9 @@
 
     hrl-escape warm
 
-Plans escapes from a few rooms, one process a core. The compiled code stays in the cache of this version; the variable
-NUMBA_CACHE_DIR moves it. Kernels that the cache has already are loaded, which takes seconds.
+Plans escapes from a few rooms, one process a core. The compiled code stays in the cache of this version, in
+`~/.cache/hrl_escape` (XDG_CACHE_HOME or NUMBA_CACHE_DIR moves it), and in the virtual environment, from which every
+new cache begins. Kernels that the cache has already are loaded, which takes seconds.
 """
 
 from __future__ import annotations
@@ -34,6 +35,8 @@ class WarmArgs:
 
 def run(args: WarmArgs) -> None:
     """Compile or load the kernels and print the time."""
+    from hrl_escape.kernels import keep_in_installation  # loads numba
+
     if args.jobs < 0:
         raise ConfigError("jobs", args.jobs, "at least 0")
     began, jobs = time.perf_counter(), args.jobs or min(os.cpu_count() or 1, len(WARMING) + 1)
@@ -41,7 +44,8 @@ def run(args: WarmArgs) -> None:
         done = [pool.submit(_make_batch), *(pool.submit(_escape, *each) for each in WARMING)]
         for each in done:
             each.result()
-    print(f"kernels are ready after {time.perf_counter() - began:.0f} s")
+    kept = ", also for new caches of this environment" if keep_in_installation() else ""
+    print(f"kernels are ready after {time.perf_counter() - began:.0f} s{kept}")
 
 
 def _make_batch() -> None:
