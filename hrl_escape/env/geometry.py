@@ -200,21 +200,23 @@ class Neighbourhood:
 
 
 class NearCells(dict[tuple[int, int], tuple[Thing, ...]]):
-    """Things that can be within reach of floor cells of one metre, computed at the first query of a cell.
+    """Things that can be within reach of floor cells, computed at the first query of a cell.
 
-    The key of a place is (floor(x), floor(y)).
+    The key of a place is (floor(x / size), floor(y / size)).
 
     Args:
         things: all things.
         outlines: outline of each thing and its reach from the outline, m; a negative reach for never.
+        size: side of a cell, m.
     """
 
-    def __init__(self, things: Iterable[Thing], outlines: Iterable[tuple[Footprint, float]]) -> None:
+    def __init__(self, things: Iterable[Thing], outlines: Iterable[tuple[Footprint, float]], size: float = 1.0) -> None:
         super().__init__()
+        self._size = size
         self._all = tuple(zip(things, outlines, strict=True))
 
     def __missing__(self, cell: tuple[int, int]) -> tuple[Thing, ...]:
-        x, y = cell[0] + 0.5, cell[1] + 0.5
+        x, y, far = (cell[0] + 0.5) * self._size, (cell[1] + 0.5) * self._size, 0.75 * self._size
         near = self[cell] = tuple(thing for thing, (shape, reach) in self._all
-                                  if reach >= 0.0 and compute_distance(x, y, shape) <= reach + 0.75)
+                                  if reach >= 0.0 and compute_distance(x, y, shape) <= reach + far)
         return near

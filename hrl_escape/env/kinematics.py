@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -100,10 +100,14 @@ class InnerDoors:
     def __init__(self, instance: RoomInstance) -> None:
         self.footprints = tuple(door.footprint for door in instance.inner_doors)
         self._puzzle, self._radius = instance.puzzle, instance.robot.outer_radius + CONTACT_SKIN
-        self._stride = instance.robot.actions.stride
+        actions = instance.robot.actions
+        self._stride, self._span = actions.stride, actions.longest * (2.0 if instance.dynamics.noise else 1.0)
         self._shut: dict[Hashable, int] = {}
-        reach = self._radius + 6.0 * instance.robot.actions.longest  # noise lengthens steps
+        self._shut_near: dict[tuple[int, int, int], tuple[Footprint, ...]] = {}
+        reach = self._radius + 1.5 * self._span
         self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
+        self._at = NearCells(enumerate(self.footprints), ((door, 0.0) for door in self.footprints), 0.25)
+        self._pushes = isinstance(instance.puzzle, Pushing)
 
     def get_shut(self, puzzle: Hashable) -> int:
         """Return the bits of the shut doors in a state of the puzzle; cached."""
@@ -122,16 +126,23 @@ class InnerDoors:
                 shut &= ~(1 << number)
         return shut
 
-    def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
-        """Yield the outlines of the shut doors that a step from a place could meet."""
-        shut = self.get_shut(puzzle)
-        for number, door in self._near[math.floor(x), math.floor(y)]:
-            if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
-                yield door
+    def list_near(self, x: float, y: float, puzzle: Hashable, is_step: bool = True) -> tuple[Footprint, ...]:
+        """Return the outlines of the shut doors that a motion from a place could meet: a step, or one of any length."""
+        if not is_step:
+            shut = self.find_blocking(x, y, puzzle)
+            return tuple(door for number, door in enumerate(self.footprints) if shut >> number & 1)
+        key = math.floor(x), math.floor(y), self.get_shut(puzzle)
+        near = self._shut_near.get(key)
+        if near is None:
+            if len(self._shut_near) > 4096:
+                self._shut_near.clear()
+            near = self._shut_near[key] = tuple(door for n, door in self._near[key[:2]] if key[2] >> n & 1)
+        least = self._radius - 1e-6
+        return tuple([door for door in near if compute_distance(x, y, door) >= least]) if near else ()
 
     def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
         """Return the puzzle state after a move from a place has pushed the thing in its way, if that is possible."""
-        ahead = self.find_at(x + dx, y + dy) if isinstance(self._puzzle, Pushing) else -1
+        ahead = self.find_at(x + dx, y + dy) if self._pushes else -1
         if ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
             return puzzle
         beyond = self.find_at(x + 2.0 * dx, y + 2.0 * dy)
@@ -143,7 +154,10 @@ class InnerDoors:
 
     def find_at(self, x: float, y: float) -> int:
         """Return the index of the door at a place; -1 if there is none."""
-        return next((n for n, door in enumerate(self.footprints) if compute_distance(x, y, door) == 0.0), -1)
+        for number, door in self._at[math.floor(4.0 * x), math.floor(4.0 * y)]:
+            if compute_distance(x, y, door) == 0.0:
+                return number
+        return -1
 
 
 class Rules(RobotPoses):
@@ -168,6 +182,7 @@ class Rules(RobotPoses):
         self._step_reward, self._exit_reward = instance.reward.step, instance.reward.on_exit
         self._pays_extra = not instance.reward.is_sparse
         self._lights: dict[Hashable, int] = {}
+        self._solved: dict[Hashable, bool] = {}
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
         entries = [(i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets)]
@@ -226,7 +241,7 @@ class Rules(RobotPoses):
         more, failed = 0.0, False
         if begun or prop_poses or grip or self._is_watching or puzzle != before.puzzle:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
-            touching = list_touched(moved.touching)
+            touching = list_touched(moved.touching) if moved.touching else ()
             has_moved = moved.x != before.x or moved.y != before.y
             ahead = -1 if not grip or self.inner_doors is None else self.inner_doors.find_ahead(
                 moved.x, moved.y, *self.get_rotation(moved.heading_steps, moved.heading_offset))
@@ -236,7 +251,7 @@ class Rules(RobotPoses):
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
             failed = self._puzzle.is_failed(puzzle)
         count = before.primitives + 1
-        escaped = self._exit.contains(moved.x, moved.y) and self._puzzle.is_solved(puzzle)
+        escaped = self._exit.contains(moved.x, moved.y) and self.is_solved(puzzle)
         terminated = escaped or failed
         state = RoomState(moved.x, moved.y, moved.heading_steps, moved.heading_offset, moved.joint_steps,
                           moved.joint_offsets, puzzle, moved.touching, count, moved.noise_key, moved.z, moved.pitch,
@@ -271,11 +286,20 @@ class Rules(RobotPoses):
     def _show(self, state: RoomState) -> RewardState:
         return RewardState(state.x, state.y, state.heading_steps,
                            self._get_lit(state.puzzle).bit_count() / max(1, len(self.instance.targets)),
-                           self._puzzle.is_solved(state.puzzle))
+                           self.is_solved(state.puzzle))
 
     def has_escaped(self, state: RoomState) -> bool:
         """Return whether the exit is open and the robot is in it."""
-        return self._puzzle.is_solved(state.puzzle) and self._exit.contains(state.x, state.y)
+        return self.is_solved(state.puzzle) and self._exit.contains(state.x, state.y)
+
+    def is_solved(self, puzzle: Hashable) -> bool:
+        """Return whether the exit is open in a state of the puzzle; cached."""
+        solved = self._solved.get(puzzle)
+        if solved is None:
+            if len(self._solved) > 4096:
+                self._solved.clear()
+            solved = self._solved[puzzle] = self._puzzle.is_solved(puzzle)
+        return solved
 
 
 class Kinematics(Rules):
@@ -295,8 +319,10 @@ class Kinematics(Rules):
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
         self._span = self.actions.longest * (2.0 if self._noise else 1.0)
-        reach = self._radius + 1.5 * self._span
-        self._near_solids = NearCells(self.footprints, ((shape, reach) for shape in self.footprints))
+        reach = self._radius + 0.75 * self._span  # from the middle of a step
+        self._near_solids = NearCells(self.footprints, ((shape, reach) for shape in self.footprints), 0.5)
+        self._is_grid = self._stays and self._base.turns_anywhere
+        self._free: dict[tuple[float, float, float, float], float] = {}
         self._primitives = self.actions.primitives
         self._moves = tuple(
             tuple(primitive.compute_move(cos, sin) for cos, sin in self.rotations) for primitive in self._primitives)
@@ -410,31 +436,41 @@ class Kinematics(Rules):
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
         """Return the fraction, in [0, 1], of a displacement that keeps the body's clearance at this rotation."""
-        is_step = abs(dx) + abs(dy) <= 1.5 * self._span
-        near = self._near_solids[math.floor(x), math.floor(y)] if is_step else self.footprints
-        fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
+        fraction = self._free.get((x, y, dx, dy))
+        if fraction is None:
+            fraction = self._find_free_fraction(x, y, dx, dy, rotation)
         if self._door is None and self.inner_doors is None:
             return fraction
-        shut = self._list_shut(x, y, puzzle, rotation)
+        shut = self._list_shut(x, y, puzzle, rotation, abs(dx) + abs(dy) <= 1.5 * self._span)
         return min(fraction, self._base.find_free_fraction(x, y, rotation, dx, dy, shut)) if shut else fraction
+
+    def _find_free_fraction(self, x: float, y: float, dx: float, dy: float, rotation: tuple[float, float]) -> float:
+        """Fraction of a displacement before the first contact with a solid; kept where a room is a grid of places."""
+        is_step = abs(dx) + abs(dy) <= 1.5 * self._span
+        near = self._near_solids[math.floor(2.0 * x + dx), math.floor(2.0 * y + dy)] if is_step else self.footprints
+        fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
+        if self._is_grid and len(self._free) < 4096:
+            self._free[x, y, dx, dy] = fraction
+        return fraction
 
     def can_turn(self, state: RoomState, to: tuple[float, float], turn: float) -> bool:
         """Return whether the base can turn on the spot by an angle in rad to a rotation."""
         if self._base.turns_anywhere:
             return True
         x, y, rotation = state.x, state.y, self.get_rotation(state.heading_steps, state.heading_offset)
-        near = self._near_solids[math.floor(x), math.floor(y)]
+        near = self._near_solids[math.floor(2.0 * x), math.floor(2.0 * y)]
         shapes = (*near, *self._list_shut(x, y, state.puzzle, rotation))
         return self._base.can_turn(x, y, rotation, to, turn, shapes)
 
-    def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float]) -> tuple[Footprint, ...]:
-        """Shut doors near a place: the exit door and the inner doors."""
-        doors = tuple(self.inner_doors.list_near(x, y, puzzle)) if self.inner_doors else ()
+    def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float],
+                   is_step: bool = True) -> tuple[Footprint, ...]:
+        """Shut doors that a motion from a place can meet: the exit door and the inner doors."""
+        doors = self.inner_doors.list_near(x, y, puzzle, is_step) if self.inner_doors else ()
         return (self._door, *doors) if self._door and self.is_door_shut(x, y, puzzle, rotation) else doors
 
     def is_door_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float] = _AHEAD) -> bool:
         """Return whether the exit has a shut door. It does not block a body that overlaps it."""
-        if self._door is None or self._puzzle.is_solved(puzzle):
+        if self._door is None or self.is_solved(puzzle):
             return False
         return not self._base.stands_in(x, y, rotation, self._door)
 

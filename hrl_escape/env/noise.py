@@ -7,6 +7,7 @@ its batch. Words are computed for one room, or for many in tensors.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -18,13 +19,15 @@ MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)
 _ROUNDS = 10
+_BLOCK = 128
+"""Number of primitives whose noise is drawn at once."""
 Words = tuple[Any, Any, Any, Any]
 NOISE_PURPOSE, EPISODE_PURPOSE, CHANCE_PURPOSE, PUZZLE_PURPOSE = range(4)
 """Third word of the counter: noise, start of an episode, random outcomes of a puzzle, and its initial state."""
 
 
 def philox(counter: Words, key: tuple[Any, Any]) -> Words:
-    """Return four 32-bit words of Philox4x32-10. Inputs are integers, or int64 tensors of them."""
+    """Return four 32-bit words of Philox4x32-10. Inputs are integers, or int64 tensors or uint64 arrays of them."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
     for _ in range(_ROUNDS):
@@ -83,12 +86,20 @@ def draw_chance(key: int, primitive: int) -> float:
     return (draw_words(key, primitive, CHANCE_PURPOSE)[0] + 0.5) / 2**32
 
 
+@functools.lru_cache(maxsize=256)
+def _draw_block(key: int, block: int) -> list[tuple[int, int, int]]:
+    """Draw the words of the noise of successive primitives at once: arrays take a fifth of the time of Python."""
+    counts = np.arange(block * _BLOCK, (block + 1) * _BLOCK, dtype=np.uint64)
+    return list(zip(*(words.tolist() for words in draw_words(key, counts, NOISE_PURPOSE)[:3]), strict=True))
+
+
 def compute_noise(key: int, primitive: int) -> tuple[float, float]:
     """Return (standard normal, uniform in (0, 1)) for an episode and a primitive, both numbered from 0.
 
     The normal is computed by Box-Muller from the first two words, the uniform from the third.
     """
-    a, b, c, _ = draw_words(key, primitive, NOISE_PURPOSE)
+    block, place = divmod(primitive, _BLOCK)
+    a, b, c = _draw_block(key, block)[place]
     scale = 1.0 / 2**32
     normal = math.sqrt(-2.0 * math.log((a + 0.5) * scale)) * math.cos(2.0 * math.pi * (b + 0.5) * scale)
     return normal, (c + 0.5) * scale

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import math
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ from hrl_escape.env.config import (
     StartConfig,
 )
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.geometry import compute_distance, compute_first_contact
+from hrl_escape.env.kinematics import CONTACT_SKIN, Kinematics
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig
@@ -67,6 +69,28 @@ def change(**fields) -> RoomConfig:
 def get_puzzle(room: RoomInstance) -> ButtonsPuzzle:
     assert isinstance(room.puzzle, ButtonsPuzzle)
     return room.puzzle
+
+
+@pytest.mark.parametrize("length", [1.0, 1.45, 3.0])
+def test_a_motion_of_any_length_stops_at_the_first_shut_door_or_solid(length):
+    room, rng = make_room(), np.random.default_rng(0)
+    rules, state = Kinematics(room), begin(room)
+    solids = [*rules.footprints, *(door.footprint for door in room.inner_doors)]
+    radius = room.robot.outer_radius + CONTACT_SKIN
+    met = 0
+    for number in range(1500):
+        near = solids[number % len(solids)]
+        x = near.x + rng.uniform(-1.0, 1.0) * (near.half_x + 2.0)
+        y = near.y + rng.uniform(-1.0, 1.0) * (near.half_y + 2.0)
+        if min(compute_distance(x, y, solid) for solid in solids) < radius + 0.01:
+            continue
+        angle = rng.integers(4) * math.pi / 2 + rng.uniform(-0.02, 0.02)
+        move = length * math.cos(angle), length * math.sin(angle)
+        first = min(1.0, *(compute_first_contact(x, y, *move, radius, solid) for solid in solids))
+        assert rules.compute_free_fraction(x, y, *move, state.puzzle) == first
+        met += first < 1.0
+    assert met > 100
+
 
 
 @pytest.mark.nightly_for("1", "2", "3")

@@ -1,9 +1,11 @@
 """Noise: Philox against its authors' known answers, and the distribution it is turned into."""
 
+import math
+
 import numpy as np
 import pytest
 
-from hrl_escape.env.noise import compute_noise, philox
+from hrl_escape.env.noise import MASK, NOISE_PURPOSE, compute_noise, philox
 
 
 @pytest.mark.parametrize(
@@ -36,3 +38,14 @@ def test_noise_is_standard_normal_and_uniform():
 
 def test_noise_differs_between_episodes_and_primitives():
     assert len({compute_noise(key, n) for key in (0, 1, 2**40, 2**62) for n in (0, 1, 2**33)}) == 12
+
+
+@pytest.mark.parametrize("first", [0, 2**32 - 70, 2**40])
+def test_noise_drawn_for_many_primitives_at_once_is_that_of_each_alone(first):
+    for key in (7, 2**63 - 1):
+        for n in range(first, first + 300, 7):
+            a, b, c, _ = philox((n & MASK, n >> 32, NOISE_PURPOSE, 0), (key & MASK, key >> 32))
+            normal, uniform = compute_noise(key, n)
+            assert uniform == (c + 0.5) / 2**32
+            size, angle = math.sqrt(-2.0 * math.log((a + 0.5) / 2**32)), 2.0 * math.pi * ((b + 0.5) / 2**32)
+            assert normal == pytest.approx(size * math.cos(angle), rel=1e-12, abs=1e-12)

@@ -124,7 +124,8 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return state & ~(HELD << self._shift(thing)) | place << self._shift(thing)
 
     def _list_places(self, state: int) -> list[int]:
-        return [self.get_place(state, thing) for thing in range(len(self.grid.things))]
+        first, things = 2 * len(self.grid.doors), len(self.grid.things)
+        return [state >> first + PLACE_BITS * thing & HELD for thing in range(things)]
 
     def get_held(self, state: int) -> int | None:
         """Return the number of the held thing, or None for an empty hand."""
@@ -154,8 +155,8 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         """Take, put down, open or shut the thing or door in the cell ahead."""
         if contacts.ahead < 0 or not contacts.grip:
             return state
-        grid, held = self.grid, self.get_held(state)
-        cell = grid.blockable[contacts.ahead]
+        grid, places = self.grid, self._list_places(state)
+        held, cell = places.index(HELD) if HELD in places else None, grid.blockable[contacts.ahead]
         if cell in grid.doors:
             door = grid.doors.index(cell)
             has_key = held is not None and held < grid.keys
@@ -163,7 +164,6 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
             if contacts.grip != USE or not (has_key or was_opened or not grid.is_locked(door)):
                 return state
             return (state | 2 << 2 * door) ^ 1 << 2 * door
-        places = self._list_places(state)
         if contacts.grip == 1 and held is None and cell in places:
             return self._move(state, places.index(cell), HELD)
         if contacts.grip == -1 and held is not None and cell not in places and cell != grid.goal:

@@ -63,7 +63,8 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
         """Return the negative cost of the deepest puddle at the place where the primitive ended."""
-        return -self.cost * max((area.compute_depth(contacts.x, contacts.y) for area in self.areas), default=0.0)
+        x, y = contacts.x, contacts.y
+        return -self.cost * max([0.0, *[area.compute_depth(x, y) for area in self.areas]])
 
     def is_solved(self, state: int) -> bool:
         """Return whether the body has entered the goal."""

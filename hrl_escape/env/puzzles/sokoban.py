@@ -140,7 +140,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
         """Return 1 for each box pushed onto a goal, -1 for each pushed off."""
-        return float(self._count_filled(after) - self._count_filled(before))
+        return 0.0 if after == before else float(self._count_filled(after) - self._count_filled(before))
 
     def _count_filled(self, state: int) -> int:
         return len({*self.decode(state)}.intersection(self.level.goals))
