@@ -56,9 +56,7 @@ class Args:
     rooms: int = 10
     """Test rooms of each rung, from the first."""
     primitives: int = 10_000
-    """Primitives of training."""
-    trained: tuple[str, ...] = ("pair",)
-    """Rungs with agents that are trained here."""
+    """Primitives of training; 0 leaves out the agents that are trained here."""
     games: int = 1000
     """Games with drawn graphs; 0 leaves them out."""
     out: Path = Path(__file__).parent / "decision-errors.json"
@@ -114,8 +112,7 @@ def measure_rung(rung: str, args: Args, done: Collection[tuple[str, str]]) -> It
     test = load_benchmark("ladder-1")[rung].test
     seeds = [compute_episode_seed(0, "evaluation", number) for number in range(args.rooms)]
     meters = [ErrorMeter(test[number], test.config) for number in range(args.rooms)]
-    for kind, name, player, env, recorder in list_players(
-            rung, test, seeds, args.primitives if rung in args.trained else 0, done):
+    for kind, name, player, env, recorder in list_players(rung, test, seeds, args.primitives, done):
         lines = []
         for number, seed in enumerate(seeds):
             start, decisions, escaped = play(player, env, recorder, seed)

@@ -1,7 +1,7 @@
 """Times and sizes of an installation: the base package, and each extra on top of it, in environments of their own.
 
     python -m benchmarks.installation                                    # prints the table; needs uv on the PATH
-    python -m benchmarks.installation --extras viewer mcp --find-links /opt/wheels
+    python -m benchmarks.installation --extras viewer llm --find-links /opt/wheels
 
 Every installation is made twice, into new environments: with an empty cache and with the cache that the first one has
 filled. Sizes are sums of installed files without bytecode. An extra's environment has the base already.
@@ -22,7 +22,7 @@ from pathlib import Path
 from hrl_escape.cli import run_script
 
 ROOT = Path(__file__).parents[1]
-EXTRAS = ("viewer", "video", "data", "mcp", "llm", "pddl", "bench", "tensorboard", "wandb", "optuna", "ray", "slurm",
+EXTRAS = ("viewer", "video", "data", "llm", "pddl", "bench", "tensorboard", "wandb", "optuna", "ray", "slurm",
           "docs", "release", "mutants", "dev")
 
 

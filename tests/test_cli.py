@@ -100,8 +100,6 @@ def test_a_mistake_is_one_line_and_exit_code_2(capsys, arguments, words):
 @pytest.mark.parametrize("command", ["solve", "record", "play", "watch", "mcp"])
 def test_an_impossible_episode_seed_is_refused_before_anything_is_opened_or_written(capsys, tmp_path, monkeypatch,
                                                                                     command):
-    if command == "mcp":
-        pytest.importorskip("mcp")
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, [command, "--room", "paper-one-button", "--episode-seed", "-1"],
                    "seed = -1 is not possible: a whole number of at least 0")

@@ -4,10 +4,11 @@
     hrl-escape mcp --room ladder-1/lattice/test#3
     hrl-escape mcp --room ladder-1/chain/test#0..10 --reveal names --record games/mine.jsonl
 
-A client starts this command. `new_game` enters the next room. Requires the extra `mcp`.
+A client starts this command. `new_game` enters the next room.
 The recording holds the rooms only when the client has disconnected. Until then a reader finds no graph in it.
 
-The first start compiles for up to a minute. Give clients that have a start-up timeout more than that:
+The server starts in seconds. The first call after an installation waits for compilation, up to a minute, unless
+`hrl-escape warm` has run. Clients with timeouts that allow this:
 
     Claude Code     .mcp.json, with MCP_TIMEOUT=120000 in its environment:
                     {"mcpServers": {"rooms": {"command": "hrl-escape", "args": ["mcp", "--room", "clutter#3"]}}}
@@ -31,6 +32,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import BinaryIO
 
 from hrl_escape.agents.text_agent import Level
 from hrl_escape.commands.room_choice import RoomChoice
@@ -61,21 +63,36 @@ class McpArgs(RoomChoice):
 
 def run(args: McpArgs) -> None:
     """Serve games until the client disconnects."""
-    from hrl_escape.text.mcp_server import make_server, serve  # needs the extra
-    from hrl_escape.text.series import GameSeries
+    rooms = args.list_rooms()
+    with _wire() as (reading, writing), nullcontext() if args.record is None else _reserve(args.record):
+        from hrl_escape.text.mcp_server import McpServer
+        from hrl_escape.text.series import GameSeries
 
-    with nullcontext() if args.record is None else _reserve(args.record):
-        series = GameSeries(args.list_rooms(), args.reveal, args.episode_seed, not args.options_only, args.record)
+        series = GameSeries(rooms, args.reveal, args.episode_seed, not args.options_only, args.record)
         ended = 0
         try:
-            serve(make_server(series))
+            McpServer(series, reading, writing).serve()
         except Ended as signal:
             ended = signal.number
         finally:
             for game in series.close():
                 print(game.score, file=sys.stderr, flush=True)
     if ended:
-        os._exit(128 + ended)  # a thread that waits for the client's next line would keep the process alive
+        os._exit(128 + ended)  # the thread that compiles would keep the process alive
+
+
+@contextmanager
+def _wire() -> Iterator[tuple[BinaryIO, BinaryIO]]:
+    """Standard input, and standard output apart from what is printed, which goes to standard error."""
+    sys.stdout.flush()
+    own = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        with open(0, "rb", closefd=False) as reading, open(own, "wb", closefd=False) as writing:
+            yield reading, writing
+    finally:
+        os.dup2(own, 1)
+        os.close(own)
 
 
 @contextmanager

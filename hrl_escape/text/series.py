@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -62,16 +63,24 @@ class GameSeries:
 
     def begin(self) -> str:
         """Begin the next game and return its first text."""
-        room = self._rooms[(self.number + 1) % len(self._rooms)]
-        env = OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=self._include_primitives)
-        following = RoomSession(env, self._reveal)
-        text = following.reset(seed=self._seed)
+        following = self._begin_in(self._rooms[(self.number + 1) % len(self._rooms)])
+        text = following.transcript[0].text
         if self.number >= 0:
             self._keep()
         self.session, self.number = following, self.number + 1
         self._write_progress()
         rooms = count_nouns(len(self._rooms), "room")
         return text if len(self._rooms) == 1 else f"Game {self.number + 1}, of {rooms}.\n{text}"
+
+    def prepare(self) -> None:
+        """Play one option in a copy of the current game, so that the planners are loaded before the first call.
+
+        The game itself does not change. Another thread may run this until the next call.
+        """
+        copy = self._begin_in(self.session.env.instance)
+        options = copy.tools()[0]["inputSchema"]["properties"]["option"]["enum"]
+        with closing(copy.env):
+            next((name for name in options if not copy.call("run_option", {"option": name}).is_error), None)
 
     def tools(self) -> list[dict[str, Any]]:
         """JSON Schemas of the tools of the current game, and of `new_game`."""
@@ -101,6 +110,12 @@ class GameSeries:
         if self._record is not None:
             save_games(self._record, self.games or [record_game(self.session)])
         return tuple(self.games)
+
+    def _begin_in(self, room: RoomInstance) -> RoomSession:
+        env = OptionsEnv(EscapeRoomEnv(instance=room), include_primitives=self._include_primitives)
+        session = RoomSession(env, self._reveal)
+        session.reset(seed=self._seed)
+        return session
 
     def _keep(self) -> None:
         if len(self.session.transcript) > 1:

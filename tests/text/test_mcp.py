@@ -1,9 +1,14 @@
-"""The server for language models: its tools are the series' of games; without the extra one message names it."""
+"""The server for language models: the protocol, its start, and the series of games behind it."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
+import os
+import shutil
+import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -12,53 +17,161 @@ import pytest
 
 from hrl_escape.cli import main
 from hrl_escape.signals import Ended
-from hrl_escape.text import verify_games
+from hrl_escape.text import GameSeries, verify_games
+from hrl_escape.text.mcp_server import VERSIONS, McpServer
+from hrl_escape.version import __version__
 from tests.text.rooms import get_room, make_session
 
-HAS_MCP = importlib.util.find_spec("mcp") is not None
+
+class Client:
+    """A client in the process of its server, over two pipes."""
+
+    def __init__(self, series: GameSeries) -> None:
+        reading, self._sending = os.pipe()
+        self._hearing, writing = os.pipe()
+        self._streams = open(reading, "rb"), open(writing, "wb")
+        self._hears = open(self._hearing, "rb")
+        self._server = threading.Thread(target=McpServer(series, *self._streams).serve)
+        self._server.start()
+        self.notes: list[dict[str, Any]] = []
+        self._number = 0
+
+    def __enter__(self) -> Client:
+        self.begun = self.ask("initialize", protocolVersion=VERSIONS[-1], capabilities={}, clientInfo={})["result"]
+        self.send({"jsonrpc": "2.0", "method": "notifications/initialized"})
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._sending)
+        self._server.join()
+        for each in (*self._streams, self._hears):
+            each.close()
+
+    def send(self, message: Any) -> None:
+        os.write(self._sending, (message if isinstance(message, bytes) else json.dumps(message).encode()) + b"\n")
+
+    def hear(self) -> dict[str, Any]:
+        """The next answer; notifications are kept in `notes`."""
+        while "method" in (message := json.loads(self._hears.readline())):
+            self.notes.append(message)
+        return message
+
+    def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+        self._number += 1
+        self.send({"jsonrpc": "2.0", "id": self._number, "method": method, "params": parameters})
+        answer = self.hear()
+        assert answer["jsonrpc"] == "2.0" and answer["id"] == self._number
+        return answer
+
+    def call(self, name: Any, arguments: Any = None, **meta: Any) -> tuple[str, bool]:
+        result = self.ask("tools/call", name=name, arguments=arguments, _meta=meta)["result"]
+        (content,) = result["content"]
+        assert content["type"] == "text"
+        return content["text"], result["isError"]
 
 
-@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
 def test_a_client_plays_two_rooms_and_sees_what_the_session_answers(tmp_path: Path):
-    import anyio
-    from mcp import Client
-
-    from hrl_escape.text.mcp_server import make_server
-    from hrl_escape.text.series import GameSeries
-
-    rooms, heard, told = [get_room("pair", 3), get_room("chain-3")], [], []
+    rooms = [get_room("pair", 3), get_room("chain-3")]
     series, twin = GameSeries(rooms, record=tmp_path / "games.jsonl"), make_session(rooms[0])
     calls = [("run_option", {"option": "press-button-1"}), ("fly", {"x": 1}), ("move", {"primitive": "forward"}),
              ("look", {}), ("run_option", {"option": "press-button-2"}), ("run_option", {"option": "press-button-1"}),
              ("run_option", {"option": "go-to-exit"})]
-
-    async def hear(progress: float, total: float | None, message: str | None) -> None:
-        told.append((progress, total))
-
-    async def talk() -> None:
-        async with Client(make_server(series)) as client:
-            assert client.instructions == f"Game 1, of 2 rooms.\n{twin.transcript[0].text}"
-            tools = (await client.list_tools()).tools
-            assert [(tool.name, tool.input_schema) for tool in tools[:-1]] == [
-                (tool["name"], tool["inputSchema"]) for tool in twin.tools()] and tools[-1].name == "new_game"
-            for name, arguments in calls:
-                result = await client.call_tool(name, arguments, progress_callback=hear)
-                heard.append((result.content[0].text, result.is_error))
-            hidden = (tmp_path / "games.jsonl").read_text()
-            assert "edges" not in hidden and '"room"' not in hidden and "go-to-exit" in hidden
-            over = await client.call_tool("look", {})
-            assert over.is_error and '"new_game" begins another' in over.content[0].text
-            following = (await client.call_tool("new_game", {})).content[0].text
-            assert following == f"Game 2, of 2 rooms.\n{make_session(rooms[1]).transcript[0].text}"
-            assert "press-button-3" in (await client.list_tools()).tools[0].input_schema["properties"]["option"]["enum"]
-
-    anyio.run(talk)
+    with Client(series) as client:
+        assert client.begun["instructions"] == f"Game 1, of 2 rooms.\n{twin.transcript[0].text}"
+        assert client.begun["protocolVersion"] == VERSIONS[-1] and client.begun["serverInfo"]["version"] == __version__
+        tools = client.ask("tools/list")["result"]["tools"]
+        assert tools[:-1] == twin.tools() and tools[-1]["name"] == "new_game"
+        heard = [client.call(*call, progressToken="mine") for call in calls]
+        hidden = (tmp_path / "games.jsonl").read_text()
+        assert "edges" not in hidden and '"room"' not in hidden and "go-to-exit" in hidden
+        told = [note["params"] for note in client.notes]
+        assert len(told) >= len(calls) and {note["progressToken"] for note in told} == {"mine"}
+        assert told[0]["progress"] == 0 < told[-1]["progress"] <= told[-1]["total"] == rooms[0].horizon
+        over, is_error = client.call("look", {})
+        assert is_error and '"new_game" begins another' in over and client.notes[-1] == {
+            "jsonrpc": "2.0", "method": "notifications/progress", "params": told[-1]}
+        following, _ = client.call("new_game", {})
+        assert following == f"Game 2, of 2 rooms.\n{make_session(rooms[1]).transcript[0].text}"
+        assert client.notes[-1] == {"jsonrpc": "2.0", "method": "notifications/tools/list_changed"}
+        tools = client.ask("tools/list")["result"]["tools"]
+        assert "press-button-3" in tools[0]["inputSchema"]["properties"]["option"]["enum"]
     alone = [tuple(twin.call(*call)) for call in calls]
     assert heard[:-1] == alone[:-1] and heard[-1][0].startswith(alone[-1][0]) and "Score: escaped, " in heard[-1][0]
-    assert told and all(total == rooms[0].horizon for _, total in told)
     series.close()
     (game,) = verify_games(tmp_path / "games.jsonl")
     assert game.score == twin.score() and list(game.turns) == twin.transcript
+
+
+@pytest.mark.parametrize(("name", "arguments"), [
+    ("move", {"primitive": "forward", "times": "3"}), ("move", {"primitive": "forward", "times": 3.0}),
+    ("move", '{"primitive": "forward", "times": 3}'), ("mcp__rooms__move", {"primitive": "forward", "times": 3}),
+    ("rooms.move", {"primitive": "forward", "times": 3, "_meta": {"progressToken": 1}})])
+def test_a_call_in_any_form_costs_its_primitives_alone(name: str, arguments: Any):
+    with Client(GameSeries([get_room("pair", 3)])) as client:
+        text, is_error = client.call(name, arguments)
+        assert not is_error and text.startswith("Took 3 primitives, 3 of ")
+        assert client.call("mcp__rooms__look") == client.call("look", {"_meta": None})
+        text, is_error = client.call("move", {"primitive": "forward", "times": None})
+        assert not is_error and text.startswith("Took 1 primitive, 4 of ")
+
+
+@pytest.mark.parametrize(("sent", "code"), [
+    (b"{", -32700), (b'{"id": 1e999, "method": "ping"}', -32600), (b"\xff", -32700), (b"[" * 100_000, -32700),
+    ([], -32600), ({"id": 1}, -32600), ({"id": None, "method": "ping"}, -32600),
+    ({"id": 7, "method": "server/discover"}, -32601), ({"id": 7, "method": "x" * 10_000}, -32601),
+    ({"id": 7, "method": "tools/call"}, -32602), ({"id": 7, "method": "tools/call", "params": {"name": 3}}, -32602)])
+def test_what_is_no_request_is_answered_with_an_error_and_costs_nothing(sent: Any, code: int):
+    series = GameSeries([get_room("pair", 3)])
+    with Client(series) as client:
+        client.send(b"")
+        client.send({"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 1}})
+        client.send(sent)
+        answer = client.hear()
+        assert answer["error"]["code"] == code and len(answer["error"]["message"]) < 500
+        assert answer["id"] == (7 if isinstance(sent, dict) and sent.get("id") == 7 else None)
+        assert client.ask("ping")["result"] == {}
+        assert client.ask("initialize", protocolVersion="2024-11-05")["result"]["protocolVersion"] == "2024-11-05"
+        assert client.ask("initialize", protocolVersion="1999-01-01")["result"]["protocolVersion"] == VERSIONS[-1]
+    assert len(series.session.transcript) == 1 and not series.session.score().primitives
+
+
+def test_a_recording_that_cannot_be_written_fails_the_call_and_the_server_stays(tmp_path: Path):
+    series = GameSeries([get_room("pair", 3)], record=tmp_path / "folder" / "games.jsonl")
+    shutil.rmtree(tmp_path / "folder")
+    (tmp_path / "folder").write_text("no folder")
+    with Client(series) as client:
+        answer = client.ask("tools/call", name="look")
+        assert answer["error"]["code"] == -32603 and "cannot write" in answer["error"]["message"]
+        assert client.ask("ping")["result"] == {}
+
+
+def test_preparation_loads_the_planners_and_changes_no_game():
+    series = GameSeries([get_room("pair", 3)])
+    twin = make_session(get_room("pair", 3))
+    series.prepare()
+    assert series.session.transcript == twin.transcript and not series.games
+    call = "run_option", {"option": "press-button-2"}
+    assert tuple(series.call(*call)) == tuple(twin.call(*call)) and series.session.score() == twin.score()
+
+
+HEAVY = ("torch", "scipy.linalg", "ompl", "pinocchio", "pybullet", "mcp", "pydantic", "matplotlib", "PIL", "networkx",
+         "numba.np.arraymath")
+"""Modules that take long to import, and that a server needs for no handshake; the last is one of numba's registries."""
+
+
+def test_the_handshake_is_answered_before_anything_heavy_is_imported(tmp_path: Path):
+    words = [sys.executable, "-X", "importtime", "-m", "hrl_escape.cli", "mcp", "--room", "ladder-1/pair/test#3"]
+    with (open(tmp_path / "log", "w") as log,
+          subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log) as server):
+        assert server.stdin is not None and server.stdout is not None
+        server.stdin.write(b'{"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": {}}\n')
+        server.stdin.flush()
+        answer = json.loads(server.stdout.readline())
+        imported = {line.rpartition("|")[2].strip() for line in (tmp_path / "log").read_text().splitlines()}
+        server.stdin.close()
+        assert server.wait() == 0 and server.stdout.read() == b""
+    assert '"button-1"' in answer["result"]["instructions"]
+    assert "hrl_escape.text.series" in imported and not imported & set(HEAVY)
 
 
 NAMES = ("", "run_option", "move", "look ", "mcp__rooms__run_option", "reset", "__class__", "\x00", "x" * 100_000, "{}")
@@ -69,38 +182,25 @@ ARGUMENTS: tuple[Any, ...] = (
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
 def test_2000_malformed_calls_over_the_protocol_cost_a_primitive_each_and_end_no_server():
-    import anyio
-    from mcp import Client
-
-    from hrl_escape.text.mcp_server import make_server
-    from hrl_escape.text.series import GameSeries
-
     rng, rooms, count = np.random.default_rng(0), [get_room("pair", number) for number in range(3)], 2_000
     series = GameSeries(rooms)
-
-    async def talk() -> None:
-        async with Client(make_server(series)) as client:
-            for _ in range(count):
-                before = series.session.score().primitives
-                name, arguments = (kinds[rng.integers(len(kinds))] for kinds in (NAMES, ARGUMENTS))
-                result = await client.call_tool(name, arguments)
-                score = series.session.score()
-                assert result.is_error and result.content[0].text.isprintable()
-                assert score.primitives == before + 1 == score.invalid_calls
-                if score.primitives == rooms[0].horizon:
-                    await client.call_tool("new_game", {})
-            result = await client.call_tool("run_option", {"option": "press-button-1"})
-            assert not result.is_error
-
-    anyio.run(talk)
+    with Client(series) as client:
+        for _ in range(count):
+            before = series.session.score().primitives
+            text, is_error = client.call(*(kinds[rng.integers(len(kinds))] for kinds in (NAMES, ARGUMENTS)))
+            score = series.session.score()
+            assert is_error and text.isprintable() and score.primitives == before + 1 == score.invalid_calls
+            if score.primitives == rooms[0].horizon:
+                client.call("new_game", {})
+        _, is_error = client.call("run_option", {"option": "press-button-1"})
+        assert not is_error
     assert series.number == count // rooms[0].horizon
 
 
 @pytest.mark.nightly
-@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
-def test_the_command_serves_rungs_on_standard_input_and_records_the_games(tmp_path: Path):
+@pytest.mark.skipif(importlib.util.find_spec("mcp") is None, reason="the package mcp is not installed")
+def test_a_client_of_the_package_mcp_plays_the_command_s_games(tmp_path: Path):
     import anyio
     from mcp import Client, StdioServerParameters, stdio_client
 
@@ -120,10 +220,9 @@ def test_the_command_serves_rungs_on_standard_input_and_records_the_games(tmp_pa
     assert second.room == get_room("pair", 4) and len(second.turns) == 2
 
 
-@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
 def test_a_record_that_cannot_be_written_is_refused_before_the_game(monkeypatch, capsys, tmp_path: Path):
     began = []
-    monkeypatch.setattr("hrl_escape.text.mcp_server.serve", began.append)
+    monkeypatch.setattr(McpServer, "serve", lambda server: began.append(server))
     (tmp_path / "file").write_text("no folder")
     assert main(["mcp", "--record", str(tmp_path / "file" / "game.jsonl")]) == 2
     assert "cannot write" in capsys.readouterr().err and not began
@@ -132,27 +231,20 @@ def test_a_record_that_cannot_be_written_is_refused_before_the_game(monkeypatch,
     assert len(game.turns) == 1
 
 
-@pytest.mark.skipif(not HAS_MCP, reason="the extra mcp is not installed")
 def test_the_record_hides_the_room_during_the_game_and_belongs_to_one_server(monkeypatch, capsys, tmp_path: Path):
     written, codes = [], []
 
-    def serve(server: object) -> None:
+    def serve(server: McpServer) -> None:
         written.append((tmp_path / "game.jsonl").read_text())
         codes.append(main(["mcp", "--record", str(tmp_path / "game.jsonl")]))
         raise Ended(15)
 
-    monkeypatch.setattr("hrl_escape.text.mcp_server.serve", serve)
+    monkeypatch.setattr(McpServer, "serve", serve)
     monkeypatch.setattr("os._exit", codes.append)
     main(["mcp", "--record", str(tmp_path / "game.jsonl")])
     assert '"room"' not in written[0] and codes == [2, 143]
     assert "another server records into this file" in capsys.readouterr().err
     assert len(verify_games(tmp_path / "game.jsonl")) == 1 and not (tmp_path / "game.jsonl.lock").exists()
-
-
-@pytest.mark.skipif(HAS_MCP, reason="the extra mcp is installed")
-def test_without_the_extra_one_line_names_it(capsys: pytest.CaptureFixture[str]):
-    assert main(["mcp"]) == 2
-    assert capsys.readouterr().err.startswith("hrl-escape: The server for language models needs mcp: ")
 
 
 @pytest.mark.parametrize(("words", "problem"), [
