@@ -154,11 +154,13 @@ def run(args: Args) -> None:
     settings = {"rooms": args.rooms, "primitives_of_training": args.primitives}
     known = read_json(args.out, "results") if args.out.exists() else {}
     lines = known["lines"] if known and {key: known[key] for key in settings} == settings else []
+    order = [rung.name for rung in load_benchmark("ladder-1")]
     found: dict[str, Any] = {**settings, "lines": lines, **({"games": known["games"]} if "games" in known else {})}
     for rung in args.rungs:
         done = {(line["kind"], line["player"]) for line in lines if line["rung"] == rung}
         for line in measure_rung(rung, args, done):
             lines.append(line)
+            lines.sort(key=lambda each: order.index(each["rung"]))
             write_json(args.out, found)
             print(*(f"{line[key]}" for key in line if key != "rooms"), sep="  ", file=sys.stderr, flush=True)
     if args.games:
@@ -175,12 +177,12 @@ def run(args: Args) -> None:
 
 def make_table(lines: Sequence[dict[str, Any]]) -> list[str]:
     """Rows of a Markdown table, one for each rung and player."""
-    rows = ["| rung | player | efficiency | exploration | exploitation | luck | path | exploration, actions | "
-            "exploitation, actions |", "|---|---|---|---|---|---|---|---|---|"]
+    rows = ["| rung | player | success | efficiency | exploration | exploitation | luck | path | exploration, actions | "
+            "exploitation, actions |", "|---|---|---|---|---|---|---|---|---|---|"]
     for line in lines:
         name = f"{line['player']} ({line['kind']})" if line["kind"] != "reference" else line["player"]
-        rows.append(f"| `{line['rung']}` | {name} | {line['efficiency']:.2f} | {line['exploration']:.1f} | "
-                    f"{line['exploitation']:.1f} | {line['luck']:.1f} | {line['path']:.1f} | "
+        rows.append(f"| `{line['rung']}` | {name} | {line['success']:.1f} | {line['efficiency']:.2f} | "
+                    f"{line['exploration']:.1f} | {line['exploitation']:.1f} | {line['luck']:.1f} | {line['path']:.1f} | "
                     f"{line['exploration_from_actions']:.2f} | {line['exploitation_from_actions']:.2f} |")
     return rows
 

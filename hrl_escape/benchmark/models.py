@@ -169,7 +169,7 @@ def evaluate_model(client: Any, rung: str = "pair", reveal: Level = "places", ro
     folder = None if out is None else Path(out)
     settings = {"schema": _SCHEMA, "caller": name, "endpoint": getattr(client, "endpoint", None), "rooms": chosen.name,
                 "numbers": [room.id for room in chosen], "reveal": reveal, "seed": seed,
-                "include_primitives": include_primitives, "most_calls": most_calls}
+                "options": getattr(client, "options", {}), "include_primitives": include_primitives, "most_calls": most_calls}
     done = {} if folder is None else _resume(folder, settings, budget)
     simulation, results, problems = threading.Lock(), dict(done), dict[int, str]()
     failures: list[EndpointError] = []
@@ -180,7 +180,8 @@ def evaluate_model(client: Any, rung: str = "pair", reveal: Level = "places", ro
             return
         model: Any = ChatModel(client, budget) if is_chat else client
         try:
-            result = _play_game(model, chosen, number, reveal, seed, include_primitives, most_calls, simulation, folder)
+            result = _play_game(model, chosen, number, reveal, seed, include_primitives, most_calls, simulation, folder,
+                                budget)
         except GameStopped as stopped:
             problems[number] = str(stopped)
         except EndpointError as error:
@@ -190,9 +191,8 @@ def evaluate_model(client: Any, rung: str = "pair", reveal: Level = "places", ro
             results[number] = result
             with simulation:
                 on_game(result)
-        if folder is not None:
-            with simulation:
-                write_json(folder / "usage.json", dataclasses.asdict(budget.spent))
+        with simulation:
+            _write_usage(folder, budget)
 
     missing = [number for number in range(len(chosen)) if number not in done]
     if not is_chat:
@@ -238,7 +238,7 @@ def evaluate_recordings(name: str, paths: Iterable[str | Path]) -> ModelResult:
 
 
 def _play_game(model: Model, rooms: InstanceSet, number: int, reveal: Level, seed: int, include_primitives: bool,
-               most_calls: int, simulation: threading.Lock, folder: Path | None) -> GameResult:
+               most_calls: int, simulation: threading.Lock, folder: Path | None, budget: Budget) -> GameResult:
     """Play one game; the rooms of all threads are stepped one at a time."""
     with simulation:
         env = TextEnv(OptionsEnv(EscapeRoomEnv(instance=rooms[number]), include_primitives=include_primitives), reveal)
@@ -256,6 +256,7 @@ def _play_game(model: Model, rooms: InstanceSet, number: int, reveal: Level, see
                 ended = str(stopped)
                 break
             with simulation:
+                _write_usage(folder, budget)
                 env.begin(call)
                 while env.action is not None:
                     env.step(env.action)
@@ -269,6 +270,12 @@ def _play_game(model: Model, rooms: InstanceSet, number: int, reveal: Level, see
                 save_games(folder / f"game-{number:03}.jsonl", [record_game(env)])
                 write_json(folder / f"game-{number:03}.json", result.to_dict())
     return result
+
+
+def _write_usage(folder: Path | None, budget: Budget) -> None:
+    """Write what all games have used so far, which counts when they are resumed."""
+    if folder is not None:
+        write_json(folder / "usage.json", dataclasses.asdict(budget.spent))
 
 
 def measure_game(env: TextEnv, config: RoomConfig | None = None) -> dict[str, float | None]:

@@ -146,7 +146,7 @@ class ChatClient:
         request_seconds: longest request, from the first byte sent to the last one read.
         retries: most retries of a request.
         backoff: first pause, s.
-        options: further fields of a request, such as `temperature`.
+        options: further fields of a request, such as `temperature`; kept as an attribute.
 
     Raises:
         ConfigError: the endpoint is not an HTTP address, or a limit is negative.
@@ -170,7 +170,7 @@ class ChatClient:
             raise ConfigError("key", "of the endpoint", "printable ASCII characters without line breaks")
         self.name, self.endpoint, self._key = name, endpoint.rstrip("/"), key
         self._seconds, self._retries, self._backoff = request_seconds, retries, backoff
-        self._options, self._rng, self._http = dict(options or {}), random.Random(0), httpx2
+        self.options, self._rng, self._http = dict(options or {}), random.Random(0), httpx2
         headers = {"Accept-Encoding": "identity", "Content-Type": "application/json",
                    **({"Authorization": f"Bearer {key}"} if key else {})}
         self._client = httpx2.Client(headers=headers, follow_redirects=False,
@@ -193,7 +193,7 @@ class ChatClient:
             EndpointError: the endpoint refuses the request, or no retry succeeded.
         """
         body = json.dumps({"model": self.name, "messages": messages, "tools": tools, "tool_choice": "auto",
-                           **self._options}).encode()
+                           **self.options}).encode()
         end, problem = time.monotonic() + seconds, ""
         for tries in range(self._retries + 1):
             limit = min(self._seconds, end - time.monotonic())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
@@ -68,7 +69,7 @@ class GameSeries:
         if self.number >= 0:
             self._keep()
         self.session, self.number = following, self.number + 1
-        self._write_progress()
+        self._keep_answer()
         rooms = count_nouns(len(self._rooms), "room")
         return text if len(self._rooms) == 1 else f"Game {self.number + 1}, of {rooms}.\n{text}"
 
@@ -99,7 +100,7 @@ class GameSeries:
         if is_over:
             return ToolResult(f'The game is over. {tell_score(self.session.score())} "{NEW_GAME}" begins another.',
                               True)
-        self._write_progress()
+        self._keep_answer()
         if not self.session.env.is_over:
             return result
         return ToolResult(f"{result.text} {tell_score(self.session.score())}", result.is_error)
@@ -108,7 +109,7 @@ class GameSeries:
         """End the current game, write the recording with the rooms, and return all games that had a call."""
         self._keep()
         if self._record is not None:
-            save_games(self._record, self.games or [record_game(self.session)])
+            save_games(self._record, self.games or [self._record_answers()])
         return tuple(self.games)
 
     def _begin_in(self, room: RoomInstance) -> RoomSession:
@@ -118,16 +119,24 @@ class GameSeries:
         return session
 
     def _keep(self) -> None:
-        if len(self.session.transcript) > 1:
-            self.games.append(record_game(self.session))
+        if len(self._turns) > 1:
+            self.games.append(self._record_answers())
         self.session.env.close()
+
+    def _keep_answer(self) -> None:
+        """Keep turns and score at the last answer: a signal that ends the program may arrive within the next call."""
+        self._turns, self._score = tuple(self.session.transcript), self.session.score()
+        self._write_progress()
+
+    def _record_answers(self) -> Game:
+        return dataclasses.replace(record_game(self.session), turns=self._turns, score=self._score)
 
     def _write_progress(self) -> None:
         """Write the turns of all games so far, without their rooms."""
         if self._record is None:
             return
         played = [(game.room, game.turns) for game in self.games]
-        played.append((self.session.env.instance, tuple(self.session.transcript)))
+        played.append((self.session.env.instance, self._turns))
         lines = [line for room, turns in played for line in _list_lines(room, self._seed, self._reveal, turns)]
         write_text(self._record, "".join(f"{json.dumps(line)}\n" for line in lines))
 

@@ -13,7 +13,7 @@ import pytest
 from hrl_escape.benchmark import evaluate_model, evaluate_recordings
 from hrl_escape.cli import main
 from hrl_escape.errors import ConfigError, EndpointError, FileReadError, RunMismatchError
-from hrl_escape.text import Budget, ChatClient, make_model, verify_games
+from hrl_escape.text import Budget, ChatClient, Reply, make_model, verify_games
 from hrl_escape.text.person import Person
 from hrl_escape.viewer.play.commands import Command, carry_out
 from hrl_escape.viewer.play.episode import Episode
@@ -88,6 +88,8 @@ def test_budgets_stop_games_and_the_same_call_resumes(tmp_path: Path):
         assert len(endpoint.requests) == calls
         with pytest.raises(RunMismatchError, match="reveal"):
             evaluate_model(connect(endpoint.url), rooms=3, out=tmp_path, reveal="names")
+        with pytest.raises(RunMismatchError, match="options"):
+            evaluate_model(connect(endpoint.url, options={"temperature": 0}), rooms=3, out=tmp_path)
         (tmp_path / "game-001.json").write_text("{}")
         with pytest.raises(FileReadError, match="game-001"):
             evaluate_model(connect(endpoint.url), rooms=3, out=tmp_path)
@@ -96,6 +98,20 @@ def test_budgets_stop_games_and_the_same_call_resumes(tmp_path: Path):
     for wrong in ({"tokens": -1}, {"seconds": math.nan}, {"dollars": 1.0}):
         with pytest.raises(ConfigError):
             Budget(**wrong)
+
+
+def test_what_an_unfinished_game_has_used_is_in_the_folder_before_the_next_request(tmp_path: Path):
+    counted = []
+
+    class Client(ChatClient):
+        def complete(self, *arguments: Any) -> Reply:
+            path = tmp_path / "usage.json"
+            counted.append(json.loads(path.read_text())["requests"] if path.exists() else 0)
+            return super().complete(*arguments)
+
+    with run_endpoint() as endpoint:
+        evaluate_model(Client("fake", endpoint.url), rooms=1, out=tmp_path)
+    assert counted == [*range(len(counted))] and len(counted) > 2
 
 
 def test_a_model_that_only_talks_ends_its_game():

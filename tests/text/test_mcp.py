@@ -17,7 +17,7 @@ import pytest
 
 from hrl_escape.cli import main
 from hrl_escape.signals import Ended
-from hrl_escape.text import GameSeries, verify_games
+from hrl_escape.text import GameSeries, ToolCall, verify_games
 from hrl_escape.text.mcp_server import VERSIONS, McpServer
 from hrl_escape.version import __version__
 from tests.text.rooms import get_room, make_session
@@ -95,7 +95,7 @@ def test_a_client_plays_two_rooms_and_sees_what_the_session_answers(tmp_path: Pa
         assert client.notes[-1] == {"jsonrpc": "2.0", "method": "notifications/tools/list_changed"}
         tools = client.ask("tools/list")["result"]["tools"]
         assert "press-button-3" in tools[0]["inputSchema"]["properties"]["option"]["enum"]
-    alone = [tuple(twin.call(*call)) for call in calls]
+    alone = [(answer.text, answer.is_error) for answer in (twin.call(*call) for call in calls)]
     assert heard[:-1] == alone[:-1] and heard[-1][0].startswith(alone[-1][0]) and "Score: escaped, " in heard[-1][0]
     series.close()
     (game,) = verify_games(tmp_path / "games.jsonl")
@@ -143,6 +143,18 @@ def test_a_recording_that_cannot_be_written_fails_the_call_and_the_server_stays(
         answer = client.ask("tools/call", name="look")
         assert answer["error"]["code"] == -32603 and "cannot write" in answer["error"]["message"]
         assert client.ask("ping")["result"] == {}
+
+
+def test_a_signal_within_a_call_loses_that_call_alone(tmp_path: Path):
+    series = GameSeries([get_room("pair", 3)], record=tmp_path / "games.jsonl")
+    series.call("run_option", {"option": "press-button-2"})
+    turns, score = list(series.session.transcript), series.session.score()
+    env = series.session.env
+    env.begin(ToolCall("move", {"primitive": "forward", "times": 5}))
+    env.step(env.action)  # the call ends here
+    series.close()
+    (game,) = verify_games(tmp_path / "games.jsonl")
+    assert list(game.turns) == turns and game.score == score
 
 
 def test_preparation_loads_the_planners_and_changes_no_game():
