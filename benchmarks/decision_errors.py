@@ -177,13 +177,14 @@ def run(args: Args) -> None:
 
 def make_table(lines: Sequence[dict[str, Any]]) -> list[str]:
     """Rows of a Markdown table, one for each rung and player."""
-    rows = ["| rung | player | success | efficiency | exploration | exploitation | luck | path | exploration, actions | "
-            "exploitation, actions |", "|---|---|---|---|---|---|---|---|---|---|"]
+    rows = ["| rung | player | success | efficiency | exploration | exploitation | luck | path | "
+            "exploration, actions | exploitation, actions |", "|---|---|---|---|---|---|---|---|---|---|"]
     for line in lines:
         name = f"{line['player']} ({line['kind']})" if line["kind"] != "reference" else line["player"]
         rows.append(f"| `{line['rung']}` | {name} | {line['success']:.1f} | {line['efficiency']:.2f} | "
-                    f"{line['exploration']:.1f} | {line['exploitation']:.1f} | {line['luck']:.1f} | {line['path']:.1f} | "
-                    f"{line['exploration_from_actions']:.2f} | {line['exploitation_from_actions']:.2f} |")
+                    f"{line['exploration']:.1f} | {line['exploitation']:.1f} | {line['luck']:.1f} | "
+                    f"{line['path']:.1f} | {line['exploration_from_actions']:.2f} | "
+                    f"{line['exploitation_from_actions']:.2f} |")
     return rows
 
 

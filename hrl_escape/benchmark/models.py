@@ -169,7 +169,8 @@ def evaluate_model(client: Any, rung: str = "pair", reveal: Level = "places", ro
     folder = None if out is None else Path(out)
     settings = {"schema": _SCHEMA, "caller": name, "endpoint": getattr(client, "endpoint", None), "rooms": chosen.name,
                 "numbers": [room.id for room in chosen], "reveal": reveal, "seed": seed,
-                "options": getattr(client, "options", {}), "include_primitives": include_primitives, "most_calls": most_calls}
+                "options": getattr(client, "options", {}), "include_primitives": include_primitives,
+                "most_calls": most_calls}
     done = {} if folder is None else _resume(folder, settings, budget)
     simulation, results, problems = threading.Lock(), dict(done), dict[int, str]()
     failures: list[EndpointError] = []
