@@ -35,7 +35,7 @@ class RoomPage:
     """Page that shows a room to any number of clients.
 
     If it `owns_keys`, keys control the page, and viser's camera ignores them. With `discovery`, the graph is shown as
-    far as presses have revealed it, and completely after an escape.
+    far as presses have revealed it. If an escape `reveals` the graph, it is then shown completely.
 
     Attributes:
         scene: scene of the current room.
@@ -43,8 +43,8 @@ class RoomPage:
     """
 
     def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False,
-                 discovery: PressEvidence | None = None) -> None:
-        self.server, self._discovery = server, discovery
+                 discovery: PressEvidence | None = None, reveals: bool = True) -> None:
+        self.server, self._discovery, self._reveals = server, discovery, reveals
         self.best: float | None = None
         self._lock = threading.Lock()
         self._cameras: dict[int, str] = {}
@@ -101,7 +101,8 @@ class RoomPage:
 
     def _draw_graph(self, state: RoomState) -> None:
         puzzle = self.scene.instance.puzzle
-        is_hidden = self._discovery is not None and not self.scene.rules.has_escaped(state)
+        is_shown = self._reveals and self.scene.rules.has_escaped(state)
+        is_hidden = self._discovery is not None and not is_shown
         believed, words = self._belief or (None, "")
         if is_hidden and self._discovery is not None:
             believed = KnownEdges(*self._discovery.list_edges())

@@ -63,7 +63,8 @@ class WatchPage:
         room = watch.driver.room
         self._navigator = Navigator(room.instance)
         self._evidence = None if watch.driver.text_env is None else PressEvidence(room.instance)
-        self.page = RoomPage(server, room.instance, self._get_state(), owns_keys=True, discovery=self._evidence)
+        self.page = RoomPage(server, room.instance, self._get_state(), owns_keys=True, discovery=self._evidence,
+                             reveals=False)
         watch.on_change, watch.on_wait = self._show_change, self._show_wait
         self._build()
 

@@ -24,6 +24,7 @@ from hrl_escape.planning.planner import get_planner
 from hrl_escape.viewer.pages.panels import WIDTH, KnownEdges, make_graph, make_pair
 from hrl_escape.viewer.pages.play import PlayPage
 from hrl_escape.viewer.pages.room import VIEWS, RoomPage
+from hrl_escape.viewer.play.commands import Command
 from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.server import Server
 
@@ -192,3 +193,15 @@ def test_ten_clients_a_hundred_times_leave_memory_and_threads_as_they_were(serve
     gc.collect()
     assert not [thing for thing in gc.get_objects() if isinstance(thing, viser.ClientHandle)]
     assert measure_memory() - memory < 60e6, "a thousand clients that each took in a scene of 100 kB"
+
+
+def test_hidden_play_shows_the_best_known_return_when_the_game_is_over(server: Server, two_buttons, tmp_path: Path):
+    for is_hidden in (False, True):
+        game = PlayPage(server, Episode(two_buttons, is_hidden=is_hidden), tmp_path, stride=0.0)
+        game.page.find_best()
+        game._show_facts()
+        shown = f">{game.page.best:g}<"
+        assert (shown in game._facts.content) is not is_hidden
+        for name in ("press-button-1", "press-button-2", "press-button-1", "go-to-exit"):
+            game.handle(Command("act", game.episode.names.index(name)))
+        assert game.episode.is_over and shown in game._facts.content
