@@ -44,7 +44,7 @@ class TalkArgs:
     episode_seed: int = 0
     """Episode seed of every game."""
     out: Path | None = None
-    """Folder of results and recordings; games/ and the model's name by default."""
+    """Folder of results and recordings; in games/, named by caller, rooms and reveal, by default."""
     key_variable: str = "OPENAI_API_KEY"
     """Environment variable with the key; without it no key is sent."""
     at_once: int = 4
@@ -89,7 +89,7 @@ def run(args: TalkArgs) -> None:
         options={} if args.temperature is None else {"temperature": args.temperature})
     budget = Budget(args.budget_tokens, args.budget_dollars, None if args.minutes is None else 60 * args.minutes,
                     (args.price_read, args.price_written))
-    out = args.out or Path("games") / make_file_name(client.name)
+    out = args.out or Path("games") / make_file_name(f"{client.name}-{args.room}-{args.reveal}")
 
     def tell(result: GameResult) -> None:
         score = result.score

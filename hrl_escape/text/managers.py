@@ -45,6 +45,8 @@ _ACT = re.compile(r"(?:push-(?:east|north|west|south)|[a-z]+)-(.*)")
 class RandomManager:
     """Runs a random option that can start; leaves once the exit is open."""
 
+    name = "random"
+
     def __init__(self) -> None:
         self.rng = np.random.default_rng(0)
 
@@ -66,6 +68,8 @@ class RandomManager:
 
 class SearchRandomManager(RandomManager):
     """Tries a random target that is off and untried since the last change."""
+
+    name = "search-random"
 
     def _choose(self, presses: list[str], transcript: Sequence[Turn], options: Sequence[str]) -> str:
         tried, lit, before = set[str](), set[str](), transcript[0].text
@@ -90,6 +94,8 @@ class SearchRandomManager(RandomManager):
 class SearchNearestManager(SearchRandomManager):
     """Tries the nearest target that is off and untried since the last change; a random one without places."""
 
+    name = "search-nearest"
+
     def _pick(self, presses: list[str], transcript: Sequence[Turn]) -> str:
         places = {name: (float(x), float(y)) for name, x, y, _ in _THING.findall(transcript[0].text) if x}
         here = next((tuple(map(float, found[-1])) for turn in reversed(transcript)
@@ -106,6 +112,8 @@ class PDDLPlanner(RandomManager):
         MissingExtraError: unified-planning is not installed.
         PlanningFailed: the transcript has no model, or none that can be solved.
     """
+
+    name = "oracle"
 
     def __init__(self) -> None:
         super().__init__()
@@ -195,9 +203,8 @@ def _note(turn: Turn, options: Sequence[str], tried: set[str], lit: set[str]) ->
 
 models: Registry[Callable[..., Any]] = Registry("model", "a callable", callable)
 """Models by name. Those in this module are classes, which are called once to make the model."""
-for _name, _manager in {"random": RandomManager, "search-random": SearchRandomManager,
-                        "search-nearest": SearchNearestManager, "oracle": PDDLPlanner}.items():
-    models.register(_name, _manager)
+for _manager in (RandomManager, SearchRandomManager, SearchNearestManager, PDDLPlanner):
+    models.register(_manager.name, _manager)
 
 
 def make_model(name: str) -> Model:

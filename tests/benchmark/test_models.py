@@ -122,7 +122,8 @@ def test_a_model_that_only_talks_ends_its_game():
 
 def test_scripts_and_people_get_the_row_of_a_model(tmp_path: Path):
     script = evaluate_model(make_model("search-nearest"), rooms=2, out=tmp_path / "script").to_row()
-    assert script["success"] == 1.0 and script["exploitation"] == 0.0 and script["prompt_tokens"] == 0
+    assert script["caller"] == "search-nearest" and script["success"] == 1.0
+    assert script["exploitation"] == 0.0 and script["prompt_tokens"] == 0
     shown, words = [], iter(["1", "dance", "look", "press-button-2", "1", "3", "quit"])
     found = evaluate_model(Person("me", lambda prompt: next(words), shown.append), rooms=2, out=tmp_path / "me")
     (game,) = found.games
@@ -148,6 +149,15 @@ def test_a_first_try_of_hidden_play_becomes_a_row(capsys, tmp_path: Path):
     assert row["exploration"] is not None and row["calls"] == 6 and row["wrong_calls"] == 0
     with pytest.raises(ConfigError, match="at least one"):
         evaluate_recordings("me", [])
+
+
+def test_each_set_of_rooms_and_level_has_a_folder_by_default(capsys, monkeypatch, tmp_path: Path):
+    monkeypatch.chdir(tmp_path)
+    with run_endpoint() as endpoint:
+        for more in (["--room", "ladder-1/pair/test#3..4"], ["--room", "ladder-1/pair/test#4..5"],
+                     ["--room", "ladder-1/pair/test#4..5", "--reveal", "names"]):
+            assert main(["talk", "--model", "org/fake", "--endpoint", endpoint.url, *more]) == 0
+    assert len(list(tmp_path.glob("games/org_fake-*/game-000.jsonl"))) == 3
 
 
 def test_the_command_prints_the_row(capsys, tmp_path: Path):
