@@ -171,19 +171,34 @@ HEAVY = ("torch", "scipy.linalg", "ompl", "pinocchio", "pybullet", "mcp", "pydan
 """Modules that take long to import, and that a server needs for no handshake; the last is one of numba's registries."""
 
 
-def test_the_handshake_is_answered_before_anything_heavy_is_imported(tmp_path: Path):
+def start_and_end(log: Path, *messages: bytes) -> tuple[Any, set[str], set[str]]:
+    """First answer of a server in a new process, and its imports until then and until its end."""
+    def list_imports() -> set[str]:
+        return {line.rpartition("|")[2].strip() for line in log.read_text().splitlines()}
+
     words = [sys.executable, "-X", "importtime", "-m", "hrl_escape.cli", "mcp", "--room", "ladder-1/pair/test#3"]
-    with (open(tmp_path / "log", "w") as log,
-          subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log) as server):
+    with (open(log, "w") as errors,
+          subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors) as server):
         assert server.stdin is not None and server.stdout is not None
         server.stdin.write(b'{"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": {}}\n')
         server.stdin.flush()
-        answer = json.loads(server.stdout.readline())
-        imported = {line.rpartition("|")[2].strip() for line in (tmp_path / "log").read_text().splitlines()}
+        answer, before = json.loads(server.stdout.readline()), list_imports()
+        server.stdin.write(b"".join(messages))
         server.stdin.close()
         assert server.wait() == 0 and server.stdout.read() == b""
+    return answer, before, list_imports()
+
+
+def test_the_handshake_is_answered_before_anything_heavy_is_imported(tmp_path: Path):
+    answer, before, _ = start_and_end(tmp_path / "log")
     assert '"button-1"' in answer["result"]["instructions"]
-    assert "hrl_escape.text.series" in imported and not imported & set(HEAVY)
+    assert "hrl_escape.text.series" in before and not before & set(HEAVY)
+
+
+@pytest.mark.nightly
+def test_planners_load_after_the_handshake_without_a_call(tmp_path: Path):
+    _, before, after = start_and_end(tmp_path / "log", b'{"jsonrpc": "2.0", "method": "notifications/initialized"}\n')
+    assert HEAVY[-1] in after - before
 
 
 NAMES = ("", "run_option", "move", "look ", "mcp__rooms__run_option", "reset", "__class__", "\x00", "x" * 100_000, "{}")
