@@ -151,7 +151,8 @@ def test_a_signal_within_a_call_loses_that_call_alone(tmp_path: Path):
     turns, score = list(series.session.transcript), series.session.score()
     env = series.session.env
     env.begin(ToolCall("move", {"primitive": "forward", "times": 5}))
-    env.step(env.action)  # the call ends here
+    assert env.action is not None
+    env.step(env.action)  # the program ends here
     series.close()
     (game,) = verify_games(tmp_path / "games.jsonl")
     assert list(game.turns) == turns and game.score == score
