@@ -1,9 +1,11 @@
 """Six queries for arms, compared with OMPL's own bindings and pyroboplan: `python -m benchmarks.arm_contenders FOLDER`.
 
 All planners get the same Pinocchio model, the same convex hulls, the same pairs of bodies and the same clearances. OMPL
-(`SimpleSetup`, RRTConnect, with simplification) and pyroboplan (bidirectional RRT-Connect) test configurations 0.05 rad
-apart, pyroboplan's default. pyroboplan has one padding for all pairs, so its obstacles are grown by the rest. Then the
-clearance of every path is measured every 0.005 rad. FOLDER is the folder of `example-robot-data`.
+(`SimpleSetup`, RRTConnect, with simplification) and pyroboplan (bidirectional RRT-Connect) test configurations that are
+apart by 0.05 rad, pyroboplan's default; and, named `fine`, so near to each other that between them, too, half of the
+clearance from obstacles is certain, as it is on the package's paths. pyroboplan has one padding for all pairs, so its
+obstacles are grown by the rest. Then the clearance of every path is measured every 0.005 rad. FOLDER is the folder of
+`example-robot-data`.
 
 pyroboplan: `pip install --no-deps pyroboplan meshcat u-msgpack-python tornado pyzmq toppra`; without it, its columns
 are empty.
@@ -19,7 +21,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,7 +45,7 @@ except ImportError:  # no dependency of this project
 SPACING, MEASURED = 0.05, 0.005
 """Distances of tested and of measured configurations, rad."""
 SECONDS = 60.0
-SEEDS = 5
+SEEDS = 15
 
 
 @dataclasses.dataclass(frozen=True)
@@ -147,6 +149,17 @@ def measure(arm: Arm, points: NDArray[np.float64]) -> tuple[float, float]:
             float(near[margins < CLEARANCE].min(initial=math.inf)))
 
 
+def find_fine_spacing(arm: Arm) -> float:
+    """Return the distance of tested configurations, rad, between which half of `CLEARANCE` from obstacles is certain.
+
+    Half-way between two of them a link has approached an obstacle by at most half the clearance. Pairs of links, whose
+    clearance is a twentieth, are left out.
+    """
+    tests = arm._search.get_collisions(0.0)
+    _, _, margins, _ = copy_model(arm)
+    return CLEARANCE / float(np.linalg.norm(tests._bounds.speeds[margins == CLEARANCE, 3:], axis=1).max())
+
+
 def plan_here(query: Query, seed: int) -> Callable[[], NDArray[np.float64] | None]:
     """This package."""
     arm = dataclasses.replace(query.arm)  # without models that are loaded already
@@ -161,7 +174,7 @@ def plan_here(query: Query, seed: int) -> Callable[[], NDArray[np.float64] | Non
     return plan
 
 
-def plan_with_ompl(query: Query, seed: int) -> Callable[[], NDArray[np.float64] | None]:
+def plan_with_ompl(query: Query, seed: int, spacing: float) -> Callable[[], NDArray[np.float64] | None]:
     """OMPL's own bindings, with a test of one configuration at a time."""
     model, geometry, margins, columns = copy_model(query.arm)
     data, shapes = model.createData(), geometry.createData()
@@ -183,7 +196,7 @@ def plan_with_ompl(query: Query, seed: int) -> Callable[[], NDArray[np.float64] 
 
     setup.setStateValidityChecker(is_valid)
     information = setup.getSpaceInformation()
-    information.setStateValidityCheckingResolution(SPACING / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(spacing / space.getMaximumExtent())
     ends = [space.allocState() for _ in range(2)]
     for end, values in zip(ends, (query.start, query.goal), strict=True):
         for number in range(count):
@@ -200,10 +213,11 @@ def plan_with_ompl(query: Query, seed: int) -> Callable[[], NDArray[np.float64] 
     return plan
 
 
-def plan_with_pyroboplan(query: Query, grown: Arm, seed: int) -> Callable[[], NDArray[np.float64] | None]:
+def plan_with_pyroboplan(query: Query, grown: Arm, seed: int, spacing: float
+                         ) -> Callable[[], NDArray[np.float64] | None]:
     """The planner of pyroboplan."""
     model, geometry, _, columns = copy_model(grown)
-    options = RRTPlannerOptions(max_step_size=SPACING, max_connection_dist=100.0, rrt_connect=False,
+    options = RRTPlannerOptions(max_step_size=spacing, max_connection_dist=100.0, rrt_connect=False,
                                 bidirectional_rrt=True, max_planning_time=SECONDS, rng_seed=seed,
                                 collision_distance_padding=0.9 * OWN_CLEARANCE)
     planner = RRTPlanner(model, geometry, options)
@@ -233,10 +247,11 @@ def run(args: Args) -> int:
         query = make_query(args.folder, name, kind, distance)
         grown = make_arm(args.folder, name, make_obstacles(kind, distance, CLEARANCE - 0.9 * OWN_CLEARANCE))
         makers: dict[str, Callable[[int], Callable[[], NDArray[np.float64] | None]]] = {
-            "hrl-escape": lambda seed, query=query: plan_here(query, seed),
-            "OMPL": lambda seed, query=query: plan_with_ompl(query, seed)}
-        if RRTPlanner is not None:
-            makers["pyroboplan"] = lambda seed, query=query, grown=grown: plan_with_pyroboplan(query, grown, seed)
+            "hrl-escape": partial(plan_here, query)}
+        for label, spacing in (("", SPACING), (", fine", find_fine_spacing(query.arm))):
+            makers[f"OMPL{label}"] = partial(plan_with_ompl, query, spacing=spacing)
+            if RRTPlanner is not None:
+                makers[f"pyroboplan{label}"] = partial(plan_with_pyroboplan, query, grown, spacing=spacing)
         for planner, make in makers.items():
             seconds, lengths, outer, own = [], [], math.inf, math.inf
             for seed in range(args.seeds):

@@ -77,23 +77,20 @@ def compare_with_pinocchio(robot: Robot, text: str) -> float:
 
 
 def check_urdf(path: Path) -> dict[str, Any]:
-    """Load one robot and plan a motion of its arm past a post."""
-    from hrl_escape.env.geometry import Solid
-    from hrl_escape.planning import ArmPlanner, World
+    """Load one robot, for a room and without one, and plan a motion of its arm past a post."""
+    from hrl_escape.planning import Arm, Obstacle
 
     config = make_config(path)
     robot = make_robot(config)
     found = {"joints": len(robot.joint_names), "error": compare_with_pinocchio(robot, load_urdf(path))}
-    post = Solid("cylinder", 0.8, 0.8, 0.05, 0.05, height=1.5)
-    world = World.of([post], config, (0.0, 0.0, 0.0), floor=(-4.0, 4.0, -4.0, 4.0))
-    arm, start = ArmPlanner(world.instance), world.make_state(0.0, 0.0)
-    rng, (low, high) = np.random.default_rng(1), np.array(robot.limits).T
-    near = np.clip(np.array(robot.home) + rng.uniform(-1.0, 1.0, (200, len(low))), low, high)
-    goal = next((angles for angles in near if arm.is_free(start, angles.tolist(), 0.002)), None)
+    post = Obstacle.cylinder("post", 0.05, 1.5, (0.8, 0.8, 0.75))
+    arm = Arm.from_urdf(path, hand=config.hand_link or "", joints=robot.joint_names, obstacles=[post])
+    rng, (low, high) = np.random.default_rng(1), arm.limits.T
+    near = np.clip(arm.home + rng.uniform(-1.0, 1.0, (200, len(low))), low, high)
+    goal = next((angles for angles in near if arm.is_free(angles, 0.002)), arm.home)
     began = time.process_time()
     try:
-        path_found = arm.plan(start, np.array(robot.home) if goal is None else goal, budget=20_000)
-        found["plan"] = f"{len(path_found.points)} points"
+        found["plan"] = f"{len(arm.plan('home', goal, budget=20_000).points)} points"
     except PlanningFailed as failed:
         found["plan"] = f"{failed.reason.value}: {failed.nearest[:80]}"
     found["seconds"] = round(time.process_time() - began, 2)

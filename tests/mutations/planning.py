@@ -94,9 +94,9 @@ MUTATIONS = [
              "return self.list_moving(i) == self.list_moving(j)", "return False",
              "planning/arm/test_arm_planner.py::"
              "test_links_that_no_planned_joint_moves_against_each_other_do_not_block_plans"),
-    Mutation("a motion is certified farther than distances allow", "planning/arm/model.py::ArmCollisions._advance",
-             "np.maximum(pairs.speeds @ change, 1e-12)", "np.maximum(0.1 * pairs.speeds @ change, 1e-12)",
-             "planning/arm/test_arm_planner.py::test_a_path_keeps_half_its_clearance_by_bullet"),
+    Mutation("a motion is certified farther than distances allow", "planning/arm/model.py::_PairTest.widen",
+             "self._bounds.speeds @ change", "0.1 * self._bounds.speeds @ change",
+             "planning/arm/test_arm_planner.py::test_a_posture_is_tested_with_all_postures_around_it"),
     Mutation("a continuous joint takes the long way round", "planning/arm/motion_search.py::MotionSearch.list_turns",
              "start[-joints:] + subtract_angles(self.robot, goals[:, -joints:], start[-joints:])", "goals[:, -joints:]",
              "planning/arm/test_arm_planner.py::test_a_continuous_joint_takes_the_short_way_round"),

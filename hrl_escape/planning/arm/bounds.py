@@ -1,4 +1,4 @@
-"""Bounds of how far the bodies of an arm move and how near they are, from joints and spheres around the bodies."""
+"""Bounds of how far the bodies of an arm move, from its joints and spheres around the bodies."""
 
 # pyright: reportAttributeAccessIssue=false
 # (Pinocchio and coal are compiled and carry no types)
@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,32 +14,6 @@ from numpy.typing import NDArray
 from hrl_escape.env.robot import Robot
 
 _SLIDES = {"JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned"}
-
-
-class PairBounds(NamedTuple):
-    """Spheres and speeds of tested pairs of bodies; the second of a pair may be a solid."""
-
-    first: NDArray[np.int64]  # (pairs,), numbers of geometry objects
-    second: NDArray[np.int64]
-    centres: list[NDArray[np.float64]]  # of the robot's objects' spheres, in their own frames, m
-    places: NDArray[np.float64]  # (objects, 3), of all spheres; those of solids are fixed, m
-    radii: NDArray[np.float64]  # (pairs,), of both spheres together, m
-    speeds: NDArray[np.float64]  # (pairs, 3 + joints), metres for each unit of x, y, heading and joints
-    on_solid: NDArray[np.bool_]  # (pairs,)
-    turns: NDArray[np.float64]  # (pairs with a solid, 3, 3), the solid's rotation
-    halves: NDArray[np.float64]  # (pairs with a solid, 3), half sizes of the solid's box, m
-    solid_radii: NDArray[np.float64]  # (pairs with a solid,), of the link's sphere, m
-
-    def bound_distances(self, placements: Any) -> NDArray[np.float64]:
-        """Return lower bounds of the distances of the pairs, (pairs,), m, at placements of the objects."""
-        places = self.places
-        places[: len(self.centres)] = [placements[k].act(centre) for k, centre in enumerate(self.centres)]
-        between = places[self.first] - places[self.second]
-        away = np.sqrt((between * between).sum(axis=1)) - self.radii
-        local = np.abs(between[self.on_solid][:, None, :] @ self.turns)[:, 0]
-        outside = np.maximum(local - self.halves, 0.0)
-        away[self.on_solid] = np.sqrt((outside * outside).sum(axis=1)) - self.solid_radii
-        return away
 
 
 class MotionBounds:
@@ -83,36 +57,28 @@ class MotionBounds:
         return far
 
     @cached_property
-    def pairs(self) -> PairBounds:
-        """Bounds of the collision pairs."""
-        items = self._geometry.geometryObjects.tolist()
-        ends = [(pair.first, pair.second) for pair in self._geometry.collisionPairs]
-        first, second = np.array(ends, dtype=np.int64).reshape(-1, 2).T
-        reaches = [self._measure_reach(item) for item in items]
-        radii = np.array([item.geometry.aabb_radius for item in items])
-        speeds = np.zeros((len(ends), 3 + len(self._robot.joint_names)))
-        for number, (i, j) in enumerate(ends):
-            for joint in reaches[i].keys() ^ reaches[j].keys():
-                reach = reaches[i].get(joint, reaches[j].get(joint, 0.0))
+    def speeds(self) -> NDArray[np.float64]:
+        """Bounds of how far the bodies of each pair approach, (pairs, 3 + joints), m for each unit of a coordinate.
+
+        Coordinates are x, y, heading and joints.
+        """
+        reaches = [self._measure_reach(item) for item in self._geometry.geometryObjects.tolist()]
+        speeds = np.zeros((len(self._geometry.collisionPairs), 3 + len(self._robot.joint_names)))
+        for row, pair in zip(speeds, self._geometry.collisionPairs, strict=True):
+            first, second = reaches[pair.first], reaches[pair.second]
+            for joint in first.keys() ^ second.keys():
+                reach = first.get(joint, second.get(joint, 0.0))
                 if joint == 1:
-                    speeds[number, :3] += 1.0, 1.0, reach
+                    row[:3] += 1.0, 1.0, reach
                 elif joint in self.moved:
                     planned, factor = self.moved[joint]
-                    speeds[number, 3 + planned] += abs(factor) * reach
-        on_solid = np.array([items[j].parentJoint == 0 for _, j in ends], dtype=bool)
-        fixed = [items[j] for (_, j), is_fixed in zip(ends, on_solid, strict=True) if is_fixed]
-        centres = [np.array(item.geometry.aabb_center) for item in items]
-        places = np.array([item.placement.act(centre) for item, centre in zip(items, centres, strict=True)])
-        own = sum(item.parentJoint > 0 for item in items)  # the robot's come first
-        return PairBounds(first, second, centres[:own], places, radii[first] + radii[second], speeds, on_solid,
-                          np.array([item.placement.rotation for item in fixed]).reshape(-1, 3, 3),
-                          np.array([_measure_half(item.geometry) for item in fixed]).reshape(-1, 3),
-                          radii[first[on_solid]])
+                    row[3 + planned] += abs(factor) * reach
+        return speeds
 
     def _measure_reach(self, item: Any) -> dict[int, float]:
         """Metres that a shape moves at most for each unit of a joint above it, by the joint's number in the model.
 
-        Also measures the shape's sphere. A solid has no joint above it.
+        A solid has no joint above it.
         """
         item.geometry.computeLocalAABB()
         model, reaches = self._model, dict[int, float]()
@@ -127,9 +93,3 @@ class MotionBounds:
                 reach += float(max(abs(model.lowerPositionLimit[at]), abs(model.upperPositionLimit[at])))
             joint = model.parents[joint]
         return reaches
-
-
-def _measure_half(shape: Any) -> NDArray[np.float64]:
-    """Half sizes of the box around a solid in its own frame, m, centred at `aabb_center`."""
-    box = shape.aabb_local
-    return (np.asarray(box.max_) - np.asarray(box.min_)) / 2.0

@@ -40,8 +40,6 @@ _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
 _FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
 TOUCHING = 1e-3
 """Links that are nearer than this at home may touch, m: hulls are larger than the links."""
-LEAST_SHARE = 0.75
-"""Share of its margin below which a pair of bodies ends a motion."""
 FEW_SOLIDS, MOST_TILES = 64, 256
 """Solids up to which all are tested, and tiles of the floor whose solids are kept beyond that."""
 
@@ -300,16 +298,7 @@ class ArmCollisions:
     def _set_margins(self, margin: float, margins: Mapping[frozenset[Key], float]) -> None:
         self.margin, self._margins = margin, margins
         self._each = np.array([margins.get(self._name_pair(pair), margin) for pair in self._geometry.collisionPairs])
-        self._manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, self._geometry, self._make_data(self._each))
-
-    def _make_data(self, margins: ArrayLike) -> Any:
-        """Results of collision tests with margins, m, of all pairs or of each, (pairs,)."""
-        data = self._geometry.createData()
-        for request, margin in zip(data.collisionRequests, np.broadcast_to(margins, len(data.collisionRequests)),
-                                   strict=True):
-            request.security_margin = float(margin)
-        return data
+        self._tests = dict[float, _PairTest]()
 
     def _name_pair(self, pair: Any) -> frozenset[Key]:
         return frozenset((self._keys[pair.first], self._keys[pair.second]))
@@ -384,17 +373,39 @@ class ArmCollisions:
 
         The place is that of the base's axis in the room, m; heading and joint angles are rad.
         """
-        return self._find_near(x, y)._test(x, y, heading, angles)
+        return self.keeps(1.0, x, y, heading, angles)
 
-    def _test(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
-        q = self._make_q(x, y, heading, angles)
-        return not pinocchio.computeCollisions(self._model, self._data, self._manager, q, True)
+    def keeps(self, share: float, x: float, y: float, heading: float, angles: Sequence[float],
+              change: NDArray[np.float64] | None = None) -> bool:
+        """Return whether every pair keeps a share of its margin, at a posture and at all postures around it.
+
+        Two bodies approach each other by at most `reach * change` for each joint between them, so they are tested at
+        the posture with that much more distance (Schwarzer, Saha and Latombe 2005).
+
+        Args:
+            share: of each margin.
+            x: of the base's axis in the room, m.
+            y: likewise.
+            heading: of the base, rad.
+            angles: of the joints, rad.
+            change: largest deviations of x, y, heading and joints, (3 + joints,), m and rad; None for none.
+        """
+        near = self._find_near(x, y)
+        return near._keeps(share, near._make_q(x, y, heading, angles), change)
+
+    def _keeps(self, share: float, q: NDArray[np.float64], change: NDArray[np.float64] | None) -> bool:
+        test = self._tests.get(share)
+        if test is None:
+            test = self._tests[share] = _PairTest(self._model, self._geometry, share * self._each, self._bounds)
+        if change is not test.change:
+            test.widen(change)
+        return not pinocchio.computeCollisions(self._model, self._data, test.manager, q, True)
 
     def measure_near(self, x: float, y: float, heading: float, angles: Sequence[float],
                      within: float) -> dict[frozenset[Key], float]:
         """Return the distances of the tested pairs that are nearer than `within`, m; arguments as of `is_free`."""
         near = self._find_near(x, y)
-        data, q = near._make_data(within), near._make_q(x, y, heading, angles)
+        data, q = _make_data(near._geometry, within), near._make_q(x, y, heading, angles)
         pinocchio.computeCollisions(near._model, near._data, near._geometry, data, q, False)
         found = dict[frozenset[Key], float]()
         for number, (pair, result) in enumerate(zip(near._geometry.collisionPairs, data.collisionResults, strict=True)):
@@ -409,46 +420,6 @@ class ArmCollisions:
         return {pair for pair in map(self._name_pair, self._geometry.collisionPairs)
                 if not any(not isinstance(key, str) or key == "floor" for key in pair)}
 
-    def advance(self, x: float, y: float, heading: float, angles: Sequence[float], change: NDArray[np.float64],
-                most: float) -> float:
-        """Return how much of a straight motion is certainly free from a posture on, by conservative advancement.
-
-        A pair of bodies moves by at most `reach * change` for a joint between them, so that it stays apart while that
-        is less than its distance. Distances are bounded by spheres around the bodies, and measured where that bound is
-        too small (Schwarzer, Saha and Latombe 2005).
-
-        Args:
-            x: of the base's axis in the room, m.
-            y: likewise.
-            heading: of the base, rad.
-            angles: of the joints, rad.
-            change: how far x, y, heading and joints move in the whole motion, (3 + joints,), m and rad.
-            most: largest share of the motion that is asked for.
-
-        Returns:
-            A share above 0 during which every pair keeps half its margin; negative if a pair is nearer than
-            `LEAST_SHARE` of its margin.
-        """
-        return self._find_near(x, y)._advance(self._make_q(x, y, heading, angles), np.abs(change), most)
-
-    def _advance(self, q: NDArray[np.float64], change: NDArray[np.float64], most: float) -> float:
-        pairs, data, margins = self._bounds.pairs, self._distances, self._each
-        pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, data, q)
-        motion = np.maximum(pairs.speeds @ change, 1e-12)
-        share = (pairs.bound_distances(data.oMg) - 0.5 * margins) / motion
-        for number in np.argsort(share).tolist():
-            if share[number] >= most:
-                break
-            exact = pinocchio.computeDistance(self._geometry, data, number).min_distance
-            if exact < LEAST_SHARE * margins[number]:
-                return -1.0
-            most = min(most, (exact - 0.5 * margins[number]) / motion[number])
-        return most
-
-    @cached_property
-    def _distances(self) -> Any:
-        return self._geometry.createData()
-
     def describe(self, pair: frozenset[Key]) -> str:
         """Describe a pair in words, such as `arm-3 to obstacle at (1, 2)`."""
         links = {item.name: self._name_body(item) for item in self._geometry.geometryObjects.tolist()
@@ -460,7 +431,7 @@ class ArmCollisions:
 
     def list_collisions(self, x: float, y: float, heading: float, angles: Sequence[float]) -> list[str]:
         """List what meets at a posture, such as `arm-3 meets floor`; arguments as of `is_free`."""
-        data, q = self._make_data(self._each), self._make_q(x, y, heading, angles)
+        data, q = _make_data(self._geometry, self._each), self._make_q(x, y, heading, angles)
         pinocchio.computeCollisions(self._model, self._data, self._geometry, data, q, False)
         names = [self._name_body(item) for item in self._geometry.geometryObjects.tolist()]
         pairs = zip(self._geometry.collisionPairs, data.collisionResults, strict=True)
@@ -509,6 +480,32 @@ class _JointMap:
             turned = factors * values[numbers] + offsets
             q[at], q[at + 1] = np.cos(turned), np.sin(turned)
         return q
+
+
+class _PairTest:
+    """Broad-phase test of all pairs of bodies with margins, m, that can be widened."""
+
+    def __init__(self, model: Any, geometry: Any, margins: NDArray[np.float64], bounds: MotionBounds) -> None:
+        data = _make_data(geometry, margins)
+        self.manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(model, geometry, data)
+        self.change: NDArray[np.float64] | None = None
+        self._requests, self._margins, self._bounds = list(data.collisionRequests), margins, bounds
+
+    def widen(self, change: NDArray[np.float64] | None) -> None:
+        """Add to the margins how far the bodies of each pair approach when coordinates change, (3 + joints,)."""
+        self.change = change
+        wide = self._margins if change is None else self._margins + self._bounds.speeds @ change
+        for request, margin in zip(self._requests, wide.tolist(), strict=True):
+            request.security_margin = margin
+
+
+def _make_data(geometry: Any, margins: ArrayLike) -> Any:
+    """Results of collision tests with margins, m, of all pairs or of each, (pairs,)."""
+    data = geometry.createData()
+    for request, margin in zip(data.collisionRequests, np.broadcast_to(margins, len(data.collisionRequests)),
+                               strict=True):
+        request.security_margin = float(margin)
+    return data
 
 
 def _read_origin(element: ElementTree.Element) -> Any:

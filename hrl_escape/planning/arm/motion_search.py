@@ -1,13 +1,12 @@
 """`MotionSearch`: collision-free motions of an arm among solids, with a clearance for every pair of bodies.
 
-OMPL searches in coordinates scaled to metres of motion. Motions are tested whole, by conservative advancement: all
-along a path every pair keeps half of its margin.
+OMPL searches in coordinates scaled to metres of motion. Motions are certified whole: all along a path every pair keeps
+half of its margin.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -158,7 +157,9 @@ class MotionSearch:
             raise fail(clock.reason) from None
         if path is None:
             raise fail(PlanningReason.BUDGET_EXHAUSTED if spent.calls >= limits.budget
-                       else PlanningReason.UNREACHABLE_AT_RESOLUTION)
+                       else PlanningReason.UNREACHABLE_AT_RESOLUTION,
+                       self._describe_line(start, min(goals, key=lambda goal: np.linalg.norm((goal - start) * scale)),
+                                           test))
         points = path / scale
         if kept == 0.0:  # the motions of the second search are certified one by one
             kept = max(least, _find_clearance(points, test, margins, least))
@@ -178,6 +179,15 @@ class MotionSearch:
             others.append(other)
         return np.concatenate([nearest, *others])
 
+    def _describe_line(self, start: NDArray[np.float64], goal: NDArray[np.float64], test: MotionTest) -> str:
+        """Say what is in the way on the straight line between coordinates; empty if nothing is."""
+        count = math.ceil(float(np.linalg.norm((goal - start) * test.scale)) / TESTED)
+        for at in np.linspace(start, goal, count + 1):
+            if not test.is_free(at):
+                meets = test.collisions.list_collisions(*split_coordinates(at, test.place))
+                return f"the straight line, on which {', '.join(meets) or 'the base meets a solid'}"
+        return ""
+
     def _find_fault(self, at: NDArray[np.float64], place: tuple[float, float, float] | None,
                     near: Mapping[frozenset[Key], float], does_base_fit: BaseTest) -> str:
         """Say why a path may not begin or end at coordinates, given the near pairs; empty if it may."""
@@ -193,14 +203,19 @@ class MotionSearch:
 
 def _find_clearance(points: NDArray[np.float64], test: MotionTest, margins: Mapping[frozenset[Key], float],
                     least: float) -> float:
-    """Return the first of `_CORNER_CLEARANCES` and `least` that all pairs keep half of along a path, m; 0 for none."""
-    tests = CheckerBudget(10 * test.budget.most + 10_000, test.budget.clock)
+    """Return the first of `_CORNER_CLEARANCES` and `least` that all pairs keep half of along a path, m; 0 for none.
+
+    What keeps half of a clearance keeps half of a smaller one, so a motion that passed is not certified again.
+    """
+    tests, segment = CheckerBudget(10 * test.budget.most + 10_000, test.budget.clock), 0
     for clearance in (*(each for each in _CORNER_CLEARANCES if least < each <= test.margin), least):
         wider = test.collisions.with_margins(CLEARANCE, {pair: max(kept, clearance) for pair, kept in margins.items()})
         wide = dataclasses.replace(test, collisions=wider, budget=tests)
         try:
-            if all(wide.keeps_half(begin, end) for begin, end in itertools.pairwise(points)):
-                return clearance
+            while segment + 1 < len(points) and wide.keeps_half(points[segment], points[segment + 1]):
+                segment += 1
         except Spent:
             break
+        if segment + 1 == len(points):
+            return clearance
     return 0.0

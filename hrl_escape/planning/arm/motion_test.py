@@ -1,4 +1,4 @@
-"""Tests of an arm's motions, with or without its base, as a whole: conservative advancement in a straight line."""
+"""Tests of an arm's motions, with or without its base: straight lines, at places on them and as a whole."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.planning.arm.model import LEAST_SHARE, ArmCollisions
+from hrl_escape.planning.arm.model import ArmCollisions
 from hrl_escape.planning.paths.problem import CheckerBudget
 
 BaseTest: TypeAlias = Callable[[NDArray[np.float64], float], bool]
 """Test of the base: true if it fits at coordinates with a margin, m."""
 TESTED = 0.05
 """Distance of the postures that are tested before a motion is certified, in metres of motion."""
-_BASE_ROOMS = (0.5, 0.1)  # m of room around the base, with which it may go so far without another test
+LEAST_SHARE = 0.75
+"""Share of its margin below which a pair of bodies ends a motion."""
+_LONGEST = 0.1  # longest part of a motion that is certified by one test, in metres of motion
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,28 +63,39 @@ class MotionTest:
     def keeps_half(self, begin: NDArray[np.float64], end: NDArray[np.float64]) -> bool:
         """Return whether a straight motion certainly keeps half of all margins.
 
-        It is refused where it comes nearer than `LEAST_SHARE` of a margin, as the steps would become too short.
+        Each part of it is tested in its middle, with as much more distance as the bodies can approach within the part.
+        Where that is too much, the part is halved. A motion is refused where a middle keeps less than `LEAST_SHARE` of
+        a margin, as the parts would become too short.
 
         Raises:
             Spent: the budget is used up.
         """
-        move, done = end - begin, 0.0
-        change = move if self.place is None else np.concatenate([np.zeros(3), move])
-        base_motion = float(np.abs(change[:2]).sum() + abs(change[2]) * self.collisions.sweeps[-1])
-        rooms = (*_BASE_ROOMS, self.margin, LEAST_SHARE * self.margin)
-        while done < 1.0:
-            self.budget.spend(1)
-            at, most = begin + done * move, 1.0 - done
-            if base_motion > 0.0:
-                room = next((room for room in rooms if self.does_base_fit(at, room)), None)
-                if room is None:
-                    return False
-                most = min(most, (room - self.margin / 2.0) / base_motion)
-            share = self.collisions.advance(*split_coordinates(at, self.place), change, most)
-            if share < 0.0:
-                return False
-            done += share
+        move = end - begin
+        change = np.abs(move if self.place is None else np.concatenate([np.zeros(3), move]))
+        base_motion = float(change[:2].sum() + change[2] * self.collisions.sweeps[-1])
+        count = max(1, math.ceil(float(np.abs(move) @ self.scale) / _LONGEST))
+        half, middles = 0.5 / count, [(k + 0.5) / count for k in range(count)]
+        while middles:
+            around, long = half * change, []
+            for middle in middles:
+                at = begin + middle * move
+                if not self._keeps(0.5, at, base_motion * half if base_motion else None, around):
+                    if not self._keeps(LEAST_SHARE, at, 0.0 if base_motion else None):
+                        return False
+                    long.append(middle)
+            half /= 2.0
+            middles = [middle + side for middle in long for side in (-half, half)]
         return True
+
+    def _keeps(self, share: float, at: NDArray[np.float64], base_motion: float | None,
+               around: NDArray[np.float64] | None = None) -> bool:
+        """Return whether base and arm keep a share of their margins, also where coordinates deviate.
+
+        The base is tested with as many metres more as `base_motion`; it is not for None.
+        """
+        self.budget.spend(1)
+        return ((base_motion is None or self.does_base_fit(at, share * self.margin + base_motion))
+                and self.collisions.keeps(share, *split_coordinates(at, self.place), around))
 
 
 @lru_cache(maxsize=256)

@@ -165,7 +165,8 @@ class MotionPath:
     planner: str  # planner that found it
     checks: int = 0  # places that were tested
     seconds: float = 0.0  # wall time
-    robot: Robot | None = None  # the robot, whose joints' limits of speed and effort then hold
+    robot: Robot | None = dataclasses.field(default=None, repr=False)
+    """The robot, whose joints' limits of speed and effort then hold."""
 
     def interpolate(self, step: float) -> NDArray[np.float64]:
         """Points along the path at most `step` apart in every coordinate, corners included; shape (m, coordinates)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from xml.etree import ElementTree
 
@@ -378,6 +379,30 @@ def test_a_path_keeps_half_its_clearance_by_bullet():
         bent, near = bent + (len(path.points) > 2), near + (min(first, last) < CLEARANCE)
         least.append(along)
     assert len(least) >= 6 and bent >= 3 and near >= 1 and min(least) < 2 * CLEARANCE
+
+
+def test_a_posture_is_tested_with_all_postures_around_it():
+    """Two opposite corners of a box of postures are the farthest from its middle."""
+    urdf = make_arm(rest=THREE_JOINTS, limit='<limit lower="-3" upper="3" effort="10" velocity="1"/>')
+    posts = [Solid("cylinder", 0.8 * math.cos(angle), 0.8 * math.sin(angle), 0.04, 0.04, height=1.5)
+             for angle in (0.5, -0.6, 1.6)]
+    planner, _ = place_arm(urdf, posts, hand="tip", joints=3)
+    rng, tests = np.random.default_rng(4), planner._get_collisions(CLEARANCE)
+    kept, nearest = 0, math.inf
+    for angles in rng.uniform(-2.5, 2.5, (150, 3)):
+        change = np.concatenate([np.zeros(3), rng.uniform(0.0, 0.2, 3)])
+        if tests.keeps(0.5, 0.0, 0.0, 0.0, angles, change):
+            corners = angles + np.array(list(itertools.product((-1, 1), repeat=3))) * change[3:]
+            around = [min(tests.measure_near(0.0, 0.0, 0.0, at, 0.2).values(), default=0.2) for at in corners]
+            kept, nearest = kept + 1, min(nearest, *around)
+    assert kept >= 20 and CLEARANCE / 2 - 1e-6 <= nearest < 3 * CLEARANCE
+
+
+def test_a_failed_plan_names_what_is_on_the_straight_line():
+    planner, state = place_arm(make_arm(), [Solid("cylinder", 0.6, 0.0, 0.03, 0.03, height=2.0)])
+    with pytest.raises(PlanningFailed) as failed:
+        planner.plan(place_at(state, planner, [-0.8]), [0.8], budget=500)
+    assert failed.value.nearest == "the straight line, on which boom meets obstacle at (0.6, 0), number 4"
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (1.0, 0.3, 0.0)])
