@@ -282,6 +282,14 @@ def clutter(arm: Arm, rng: np.random.Generator, count: int = 6) -> Arm:
     return arm
 
 
+def list_queries(arm: Arm, count: int) -> tuple[Arm, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]:
+    """Put an arm among obstacles and choose motions between free postures, the first from home."""
+    rng, (low, high) = np.random.default_rng(0), arm.limits.T
+    arm = clutter(arm, rng)
+    samples = (q for q in (rng.uniform(low, high) for _ in itertools.count()) if arm.is_free(q, 0.002))
+    return arm, list(itertools.pairwise([arm.home, *itertools.islice(samples, count)]))
+
+
 def plan_motions(arm: Arm, count: int, picture: Path | None = None, budget: int = 100_000) -> dict[str, float]:
     """Plan motions between free postures, the first from home, and check all of them.
 
@@ -292,22 +300,18 @@ def plan_motions(arm: Arm, count: int, picture: Path | None = None, budget: int 
         efforts hold; least distances by Bullet from obstacles and between links, mm; and the largest share of a limit
         that trajectories use at 1 kHz.
     """
-    rng = np.random.default_rng(0)
-    arm = clutter(arm, rng)
-    check, (low, high) = ArmCheck(arm), arm.limits.T
+    arm, queries = list_queries(arm, count)
+    check = ArmCheck(arm)
     if picture:
         check.place(arm.home)
         Image.fromarray(check.draw_whole()).save(picture)
-    samples = (q for q in (rng.uniform(low, high) for _ in itertools.count()) if arm.is_free(q, 0.002))
-    times, clearances, straight, held, strain, before = [], [], 0, 0, 0.0, arm.home
-    for _ in range(count):
-        goal = next(samples)
+    times, clearances, straight, held, strain = [], [], 0, 0, 0.0
+    for before, goal in queries:
         began = time.thread_time()
         try:
             path = arm.plan(before, goal, budget=budget)
         except PlanningFailed as failed:
             print(f"  {failed.reason.value} after {time.thread_time() - began:.1f} CPU s {failed.nearest}", flush=True)
-            before = goal
             continue
         times.append(time.thread_time() - began)
         clearances.append(check.measure_path(path))
@@ -317,7 +321,6 @@ def plan_motions(arm: Arm, count: int, picture: Path | None = None, budget: int 
             held += 1
         except ConfigError:  # the efforts of the URDF do not hold the arm
             pass
-        before = goal
     check.close()
     outer, own = np.array(clearances).reshape(-1, 2).min(axis=0, initial=NEAR)
     return {"found": len(times) / count, "median s": float(np.median(times)), "most s": max(times, default=math.nan),
