@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from benchmarks import arm_barriers
 from hrl_escape.planning import Arm, Obstacle
 
@@ -21,3 +23,11 @@ def test_a_post_separates_postures_where_no_angle_of_the_other_joint_passes_it(m
     near, far = (arm_barriers.label_cells(Arm.from_urdf(ARM, hand="lower", obstacles=[post]), 0.5) for post in posts)
     assert near[0, 4] == near[2, 4] != near[5, 4] == near[7, 4]  # turned by -2, -1, 0.5 and 1.5 rad
     assert far[0, 4] == far[7, 4]
+
+
+def test_a_box_is_blocked_only_if_all_its_postures_are(monkeypatch):
+    """At the middle of both boxes the post is in the upper link; at the ends of the wide one, the link is clear."""
+    monkeypatch.setattr(arm_barriers, "SAMPLES", 0)
+    arm = Arm.from_urdf(ARM, hand="lower", obstacles=[Obstacle.cylinder("post", 0.06, 2.0, (0.3, 0.0, 0.0))])
+    for turn, expected in ((0.05, True), (1.5, False)):
+        assert arm_barriers.is_blocked(arm, np.array([-turn, -2.0]), np.array([turn, 2.0])) == expected

@@ -68,6 +68,14 @@ def test_the_hand_is_where_geometry_says_from_a_base_at_any_placement():
     assert min(np.abs(posture.angles - (shoulder, elbow)).max() for posture in postures) < 1e-3
 
 
+def test_bodies_within_a_micrometre_meet():
+    """Without any margin, coal misses some penetrations."""
+    for gap, expected in ((5e-7, False), (2e-6, True)):
+        shelf = Obstacle.box("shelf", (0.3, 0.3, 0.1), (0.75, 0.3, 0.57 + gap))  # the lower link is 0.04 m high
+        arm = Arm.from_urdf(TREE, hand="left-tip", joints=("left-shoulder", "left-elbow"), obstacles=[shelf])
+        assert arm.is_free((0.0, 0.0)) == expected, gap
+
+
 def test_joints_are_chosen_anywhere_in_the_tree_and_others_are_locked():
     arm = Arm.from_urdf(TREE, srdf=GROUPS, group="body")
     assert arm.joint_names == ("lift", "left-shoulder", "left-elbow") and arm.robot.hand_link == "left-tip"
