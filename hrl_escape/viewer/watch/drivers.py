@@ -229,7 +229,8 @@ def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
         room.close()
         if kept["class"] == name_part(InstanceSetEnv):  # the room replaces the whole set, which needs no schedule
             wrappers = [part for part in kept["wrappers"] if part["class"] != name_part(RoomSchedule)]
-            kept |= {"class": name_part(EscapeRoomEnv), "wrappers": wrappers}
+            own = {name: value for name, value in kept["arguments"].items() if name != "rooms"}
+            kept |= {"class": name_part(EscapeRoomEnv), "arguments": own, "wrappers": wrappers}
     env = make_described_env(kept, StateRecorder, trust=trust)
     if (repr(env.observation_space), repr(env.action_space)) != spaces:
         env.close()
