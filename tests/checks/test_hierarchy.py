@@ -184,7 +184,7 @@ class GoesByDepth(StackAgent):
     "LastsLonger-lasts as long as its primitives", r"DiscountsOncePerDecision-gamma\\^k",
     "PaysFinalToTheCut-`final` is asked only|`final` where it ended",
     "LeaksFinalToTheCaller-discounted sum of its task's pay", "TakesCutsForEnds-not told that it terminated",
-    "SaysNothingOfCuts-told that it was cut", "UnwindsFromOutside-innermost",
+    "SaysNothingOfCuts-receives truncation", "UnwindsFromOutside-innermost",
     "HearsOfTheIllegal-legal choices only", "GoesByNumber-renumbering", "GoesByDepth-chain")
 @pytest.mark.parametrize(
     ("agent_class", "claim"),
@@ -194,7 +194,7 @@ class GoesByDepth(StackAgent):
         (PaysFinalToTheCut, "`final` is asked only|`final` where it ended"),
         (LeaksFinalToTheCaller, "discounted sum of its task's pay"),
         (TakesCutsForEnds, "not told that it terminated"),
-        (SaysNothingOfCuts, "told that it was cut"),
+        (SaysNothingOfCuts, "receives truncation"),
         (UnwindsFromOutside, "innermost"),
         (LearnsWhileEvaluated, "evaluation changes nothing"),
         (EvaluatesInItsOwnCalls, "evaluation changes nothing"),

@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from studies.statistics import (
+    compare_signs,
     compute_median_interval,
     compute_restricted_mean,
     compute_sign_flip_p,
@@ -99,3 +100,10 @@ def test_the_interval_of_signs_leaves_out_nought_where_their_test_does():
         low, high = cut_signs(values, 0.95)
         assert (low > 0 or high < 0) == (p <= 0.05) and low < values.mean() < high
     assert cut_signs(rng(0).normal(size=4), 0.95) == (-np.inf, np.inf)
+
+
+def test_a_difference_has_a_sign_only_where_its_test_finds_one():
+    found = compare_signs({"none": np.tile([1.0, -0.9], 6), "above": np.linspace(1, 2, 12), "few": np.ones(4)})
+    assert [each.mean > 0 for each in found.values()] == [True, True, True]
+    assert [each.sign for each in found.values()] == [0, 1, 0]
+    assert compare_signs({"below": -np.linspace(1, 2, 12)})["below"].sign == -1

@@ -214,7 +214,7 @@ def test_an_srdf_says_which_links_may_touch_and_names_postures(tmp_path):
 @pytest.mark.parametrize(("kind", "joints"), [("franka-panda", 7), ("kuka-iiwa", 7), ("arm", 3)])
 def test_an_srdf_that_is_made_reads_back_as_the_same_arm(kind, joints):
     planner, state = make_planner(kind, joints)
-    planner.postures["tucked"] = tuple(0.1 * number for number in range(joints))
+    planner.postures["tucked"] = tuple(0.3 * low + 0.7 * high for low, high in planner.rules.robot.limits)
     again = ArmPlanner(planner.instance, srdf=planner.to_srdf())
     assert again.postures == {"home": planner.rules.robot.home, **planner.postures}
     assert again.to_srdf() == planner.to_srdf()
