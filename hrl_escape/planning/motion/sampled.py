@@ -40,9 +40,9 @@ from hrl_escape.planning.motion.legs import (
     list_bodies,
     list_shut_doors,
     rest,
-    time_path,
 )
 from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.timing import time_path
 from hrl_escape.planning.motion.trajectory import TimedTrajectory, join_presses
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, MotionPath
 from hrl_escape.planning.routes import COMPASS, list_places

@@ -23,8 +23,9 @@ from hrl_escape.env.velocities import list_levels
 from hrl_escape.errors import ConfigError, EscapeError
 from hrl_escape.files import write_json, write_text
 from hrl_escape.planning import ros
-from hrl_escape.planning.motion.legs import Contact, Grip, Press, TimedPath, evaluate_motion, time_legs, time_path
+from hrl_escape.planning.motion.legs import Contact, Grip, Press, time_legs
 from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.timing import TimedPath, evaluate_motion, time_path
 from hrl_escape.planning.paths.problem import MotionPath
 from hrl_escape.planning.plan import Plan
 
