@@ -32,6 +32,7 @@ from hrl_escape.options.batched.cost_to_go import (
 )
 from hrl_escape.options.batched.hand_policy import CHOSEN, Reach, estimate_arm_costs, estimate_hand_costs, find_reach
 from hrl_escape.options.batched.successors import (
+    MoveEnds,
     find_ends,
     is_in_doorway,
     is_solved,
@@ -172,7 +173,8 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
 
     planned = _read_aligned(running.plan, running.plan_left)
     target = read_targets(layout, fields.aims, state.instance, goal)
-    choice = choose_primitive(layout, tables, fields, state, target, running.postures, running.cells, running.costs)
+    search = Search(target, running.postures, running.cells, running.costs)
+    choice = choose_primitive(layout, tables, fields, state, search)
     is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
     primitive = torch.where(running.plan_left > 0, planned, choice.primitive)
@@ -311,6 +313,15 @@ MEMORY = 8
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them
 
 
+class Search(NamedTuple):
+    """Goal of every room's option, and what it has found on its way there."""
+
+    goal: Tensor  # target to press, or the number of targets for the exit, int64 (rooms,)
+    postures: Tensor  # postures that a hand may press in, int64 (`CHOSEN`, rooms)
+    cells: Tensor  # cells of the last choices, int64 (memory, rooms)
+    costs: Tensor  # cost-to-go found there, float32 (memory, rooms)
+
+
 class Choice(NamedTuple):
     """Next primitive of the options; all fields (rooms,)."""
 
@@ -346,35 +357,39 @@ def can_start(layout: Layout, tables: Tables, aims: Aims, state: TensorState, ha
     return torch.gather(can, 1, targets) & possible
 
 
-def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                     postures: Tensor, cells: Tensor, costs: Tensor) -> Choice:
-    """Choose every room's next primitive.
-
-    `goal` is the target to press, or the number of targets for the exit, int64 (rooms,). `postures` are those that a
-    hand may press in, int64 (chosen, rooms), `cells` the last ones of each room, int64 (memory, rooms), and `costs`
-    those found there, float32 (memory, rooms).
-    """
+def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, search: Search) -> Choice:
+    """Choose every room's next primitive."""
+    reach = _find_reach(layout, tables, fields, state, search)
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
-    reach = find_reach(layout, tables, fields, state, goal, postures) if presses_by_hand(layout) else None
-    after = _estimate_costs(layout, tables, fields, state, goal, postures, reach, cells, costs, depth)
+    after = _estimate_costs(layout, tables, fields, state, search, reach, depth)
     if reach is not None:
-        after = torch.cat([after, estimate_arm_costs(layout, tables, state, reach, goal < layout.targets)])
+        after = torch.cat([after, estimate_arm_costs(layout, tables, state, reach, search.goal < layout.targets)])
     best = after.amin(0)
-    numbers = torch.arange(len(after), device=goal.device).unsqueeze(1)
+    numbers = torch.arange(len(after), device=best.device).unsqueeze(1)
     primitive = torch.where(after == best, numbers, len(after)).amin(0)
     here = locate(layout, fields, state.instance, state.x, state.y)
     heading, _ = classify_headings(layout, fields, state)
     return Choice(primitive, best + 1.0, here.cell * fields.classes + heading)
 
 
-def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                    postures: Tensor, reach: Reach | None, cells: Tensor, costs: Tensor, depth: int) -> Tensor:
+def _find_reach(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, search: Search
+                ) -> Reach | None:
+    """Presses by hand near each room's present place, or None where the base presses."""
+    if not presses_by_hand(layout):
+        return None
+    return find_reach(layout, tables, fields, state, search.goal, search.postures)
+
+
+def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, search: Search,
+                    reach: Reach | None, depth: int) -> Tensor:
     """Cost-to-go after each base primitive, by a look-ahead of `depth` primitives; (primitives, rooms)."""
+    goal = search.goal
     instance = state.instance
     solved = is_solved(layout, tables, state)
     is_press = goal < layout.targets
     is_open = solved | is_in_doorway(layout, tables, state)
-    x, y, touched, is_blocked = find_ends(layout, tables, state, is_open)
+    ends = find_ends(layout, tables, state, is_open)
+    x, y, touched, is_blocked = ends
     turn = make_column(layout, state, "turn", torch.int64)
     own = torch.where(is_press, 1 << goal.clamp(max=max(layout.targets - 1, 0)), 0)
     begun = touched & ~state.touching
@@ -392,27 +407,24 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
                                         touched & own != 0)
             after = torch.where(is_press, press, after)
         keys = place.cell * fields.classes + facing
-        for cell, cost in zip(cells, costs, strict=True):
+        for cell, cost in zip(search.cells, search.costs, strict=True):
             after = torch.maximum(after, torch.where(cell == keys, cost, 0.0))
         after = after.clamp(min=1.0) + (touched & own != 0)
     else:
-        after = _estimate_from_successors(layout, tables, fields, state, goal, postures, cells, costs, depth, x, y,
-                                          touched, turn)
+        after = _estimate_from_successors(layout, tables, fields, state, search, depth, ends, turn)
     after = torch.where(hit, 0.0, after) + OTHER_PRESS_COST * (begun & ~own != 0)
     after = after + UNREACHABLE * (arrived & solved & is_press)
     return torch.where(is_blocked & ~hit, 2 * UNREACHABLE, after)
 
 
-def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                              postures: Tensor, cells: Tensor, costs: Tensor, depth: int, x: Tensor, y: Tensor,
-                              touched: Tensor, turn: Tensor) -> Tensor:
+def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, search: Search,
+                              depth: int, ends: MoveEnds, turn: Tensor) -> Tensor:
     """Cost-to-go after each base primitive: the cost of the best next primitive, plus one."""
-    count = len(x)
-    later = repeat_rooms(state, count)
+    count = len(ends.x)
     headings = wrap(state.heading_steps + turn, layout.headings).to(torch.int32)
-    later = later._replace(x=x.flatten(), y=y.flatten(), heading_steps=headings.flatten(), touching=touched.flatten())
-    goals, later_postures = goal.repeat(count), postures.repeat(1, count)
-    reach = find_reach(layout, tables, fields, later, goals, later_postures) if presses_by_hand(layout) else None
-    after = _estimate_costs(layout, tables, fields, later, goals, later_postures, reach, cells.repeat(1, count),
-                            costs.repeat(1, count), depth - 1)
-    return after.amin(0).view_as(x) + 1.0
+    later = repeat_rooms(state, count)._replace(x=ends.x.flatten(), y=ends.y.flatten(),
+                                                heading_steps=headings.flatten(), touching=ends.touched.flatten())
+    repeated = Search(search.goal.repeat(count), *(each.repeat(1, count) for each in search[1:]))
+    reach = _find_reach(layout, tables, fields, later, repeated)
+    after = _estimate_costs(layout, tables, fields, later, repeated, reach, depth - 1)
+    return after.amin(0).view_as(ends.x) + 1.0
