@@ -7,6 +7,7 @@ too. `hrl_escape.benchmark` runs many of them.
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -150,64 +151,68 @@ def train(
     if isinstance(env, str):
         raise AgentSettingsError("env", env, f"an environment, such as gymnasium.make({env!r})")
     eval_every = max(1, primitives // 20) if eval_every is None else eval_every
-    for name, value, least in (
-        ("primitives", primitives, 1),
-        ("decisions", 1 if decisions is None else decisions, 1),
-        ("eval_every", eval_every, 1),
-        ("eval_episodes", eval_episodes, 0),
-        ("eval_seed", eval_seed, 0),
-        ("seed", seed, 0),
-        ("threads", threads, 1),
-        ("eval_trials", eval_trials, 1),
-    ):
-        if not isinstance(value, (int, np.integer)) or value < least:
-            raise AgentSettingsError(name, value, f"a whole number of at least {least}")
-    if until_return is not None and (not isinstance(until_return, (int, float)) or not eval_episodes):
-        raise AgentSettingsError("until_return", until_return, "a mean return, with eval_episodes above 0, "
-                                 "or None")
-    for callback in callbacks:
-        if not isinstance(callback, Callback):
-            raise AgentSettingsError("callbacks", callback, "objects derived from hrl_escape.agents.Callback")
+    arguments = RunArguments(agent.name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed,
+                             threads=threads, until_return=until_return, eval_trials=eval_trials)
+    _check_arguments(arguments, callbacks)
     if isinstance(agent, AgentSpec):
         get_agent_class(agent.name)  # loads torch where it is needed, before its threads are set
     with _using_threads(threads):
         single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
-        name = agent.name
         if isinstance(agent, AgentSpec):
             check_spec(agent, single)
-        is_made = isinstance(agent, Agent)
-        learner = agent if is_made else make_agent(agent, single.observation_space, single.action_space, seed,
-                                                   read_structure(single), **settings or {})
-        agent_state = compute_state_digest(learner.state_dict()) if is_made and out is not None else None
-        arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
-                                 threads, until_return, eval_trials)
+        if isinstance(agent, Agent):
+            learner = agent
+            if out is not None:
+                arguments = dataclasses.replace(arguments, agent_state=compute_state_digest(learner.state_dict()))
+        else:
+            learner = make_agent(agent, single.observation_space, single.action_space, seed, read_structure(single),
+                                 **settings or {})
+        if probe is not None and not (material is None and isinstance(env, gymnasium.Env)):
+            raise AgentSettingsError("probe", probe, "None with many environments or a data set")
         if material is not None:
-            if probe is not None:
-                raise AgentSettingsError("probe", probe, "None with a data set")
             run = OfflineRun(learner, arguments, material, callbacks)  # pyright: ignore[reportPossiblyUnboundVariable]
         elif isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe, callbacks)
         else:
-            if not isinstance(learner, MANY):
-                raise AgentSettingsError("agent", name, "one that learns from many environments at once: "
-                                         f"{', '.join(list_many_env_agents())}; or give train an ordinary environment")
-            if probe is not None:
-                raise AgentSettingsError("probe", probe, "None with many environments")
-            from hrl_escape.agents.training.many_envs import ManyEnvsRun  # brings torch in
-
-            run = ManyEnvsRun(learner, env, single, arguments, callbacks)
+            run = _make_many_envs_run(learner, env, single, arguments, callbacks)
         if out is not None:
             run.open(os.fspath(out).replace("{key}", run.key))
         try:
-            with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
+            with show_progress(f"{agent.name} seed {seed}", primitives, run.primitives, progress) as report:
                 result = run.finish(checkpoint_seconds, report)
         finally:
             run.close()
         if observed and result.evaluations and eval_trials == 1:
             seeds = [compute_episode_seed(eval_seed, "evaluation", n) for n in range(eval_episodes)]
             for observer in run_observers.load_all().values():
-                observer(eval_env or single, seeds, result.evaluations, f"{name}, seed {seed}")
+                observer(eval_env or single, seeds, result.evaluations, f"{agent.name}, seed {seed}")
         return result
+
+
+def _check_arguments(arguments: RunArguments, callbacks: Sequence[Callback]) -> None:
+    for name, least in {"primitives": 1, "decisions": 1, "eval_every": 1, "eval_episodes": 0, "eval_seed": 0,
+                        "seed": 0, "threads": 1, "eval_trials": 1}.items():
+        value = getattr(arguments, name)
+        if name == "decisions" and value is None:
+            continue
+        if not isinstance(value, (int, np.integer)) or value < least:
+            raise AgentSettingsError(name, value, f"a whole number of at least {least}")
+    until_return = arguments.until_return
+    if until_return is not None and (not isinstance(until_return, (int, float)) or not arguments.eval_episodes):
+        raise AgentSettingsError("until_return", until_return, "a mean return, with eval_episodes above 0, or None")
+    for callback in callbacks:
+        if not isinstance(callback, Callback):
+            raise AgentSettingsError("callbacks", callback, "objects derived from hrl_escape.agents.Callback")
+
+
+def _make_many_envs_run(learner: Agent, env: VectorEnv | ManyEnvs, single: gymnasium.Env, arguments: RunArguments,
+                        callbacks: Sequence[Callback]) -> Run:
+    if not isinstance(learner, MANY):
+        raise AgentSettingsError("agent", arguments.name, "one that learns from many environments at once: "
+                                 f"{', '.join(list_many_env_agents())}; or give train an ordinary environment")
+    from hrl_escape.agents.training.many_envs import ManyEnvsRun  # brings torch in
+
+    return ManyEnvsRun(learner, env, single, arguments, callbacks)
 
 
 @contextmanager
