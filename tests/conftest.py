@@ -135,12 +135,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
     """The small comparison, run once for all tests that only read it, in whichever worker they are."""
     from hrl_escape.benchmark.comparison import read_comparison
     from hrl_escape.processes import taking_turns
-    from tests.benchmark.small import SMALL, run_quietly
+    from tests.benchmark.small import SMALL, OneProcess, run_quietly
 
     shared = tmp_path_factory.getbasetemp()
     folder = (shared.parent if "PYTEST_XDIST_WORKER" in os.environ else shared) / "small-comparison"
     with taking_turns(folder):
         if not (folder / "made").exists():
-            run_quietly(SMALL, folder / "out")
+            run_quietly(SMALL, folder / "out", OneProcess())
             (folder / "made").touch()
         return read_comparison(folder / "out")

@@ -6,10 +6,19 @@ It reads the syntax tree and runs nothing. Names are followed through imports an
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterable
 from functools import cache
 
 parse = cache(ast.parse)
 """Syntax tree of a source, which several rules read."""
+
+
+@cache
+def list_nodes(source: str) -> tuple[ast.AST, ...]:
+    """All nodes of that tree."""
+    return tuple(ast.walk(parse(source)))
+
+
 NUMPY_ALLOWED = {
     *("default_rng", "RandomState", "Generator", "SeedSequence", "BitGenerator"),
     "get_state",  # reading tells whether somebody has drawn
@@ -35,12 +44,12 @@ def find_global_random_state(source: str) -> list[str]:
     """Returns one line `number: name` for each use of a random stream that the caller does not own."""
     if not any(word in source for word in ("random", "torch", *TENSOR_SAMPLERS)):
         return []
-    tree = parse(source)
-    names = _imported_names(tree)
-    calls = {id(node.func): node for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    parts = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    nodes = list_nodes(source)
+    names = _imported_names(nodes)
+    calls = {id(node.func): node for node in nodes if isinstance(node, ast.Call)}
+    parts = {id(node.value) for node in nodes if isinstance(node, ast.Attribute)}
     found = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Attribute | ast.Name) and id(node) not in parts:
             name, call = _dotted(node, names), calls.get(id(node))
             if _is_global(name, call) or _is_global_tensor_method(node, name, call):
@@ -48,9 +57,9 @@ def find_global_random_state(source: str) -> list[str]:
     return [f"{line}: {name}" for line, name in sorted(found)]
 
 
-def _imported_names(tree: ast.AST) -> dict[str, str]:
+def _imported_names(nodes: Iterable[ast.AST]) -> dict[str, str]:
     names = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             for alias in node.names:
                 names[alias.asname or alias.name.partition(".")[0]] = (

@@ -109,7 +109,7 @@ def draw_all(rung: str, number: int) -> list[RoomInstance]:
         for order in itertools.permutations(range(len(room.targets)))]
 
 
-@pytest.mark.nightly_for("search-nearest")
+@pytest.mark.nightly
 @pytest.mark.parametrize("player", ["search-nearest", "sweep"])
 def test_luck_averages_to_zero_over_the_graphs_that_are_drawn(player: str):
     config = load_benchmark("ladder-1")["chain-3"].config

@@ -12,7 +12,6 @@ from hrl_escape.agents.spec import AgentSpec, OptionsView
 from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.comparison import Comparison
 from hrl_escape.benchmark.grid import Grid
-from hrl_escape.benchmark.launching.local import LocalLauncher
 from hrl_escape.benchmark.reporting.report import write_markdown, write_report
 from hrl_escape.benchmark.verdict import write_verdict
 from hrl_escape.env.config import Between
@@ -23,7 +22,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError, UnknownNameError
 from hrl_escape.sets.instance_set import InstanceSet
 from hrl_escape.sets.places import RunPlace
-from tests.benchmark.small import SCHEMATIC, run_quietly
+from tests.benchmark.small import SCHEMATIC, OneProcess, run_quietly
 
 VARIED = dataclasses.replace(SCHEMATIC, horizon=60,
                              puzzle=ButtonsConfig(count=Between(2, 3), graph=GraphConfig(kind="chain"),
@@ -38,7 +37,7 @@ def finished(tmp_path_factory) -> Comparison:
     grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json#0..4",),
                 test_rooms=(f"{folder}/ten.json#4..7",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
                 observation="objects")
-    return run_quietly(grid, folder / "out", LocalLauncher(1))
+    return run_quietly(grid, folder / "out", OneProcess())
 
 
 @pytest.mark.nightly
@@ -89,7 +88,7 @@ def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(fi
 
 
 def test_a_finished_comparison_of_sets_is_kept_and_its_places_load_again(finished: Comparison):
-    again = run_quietly(finished.grid, finished.out, LocalLauncher(1))
+    again = run_quietly(finished.grid, finished.out, OneProcess())
     assert again.runs == finished.runs
     (place,) = finished.places
     loaded = RunPlace.load(finished.out / "rooms", place.id)

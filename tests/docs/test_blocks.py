@@ -34,7 +34,8 @@ def pages_with(language: str) -> list[Path]:
 
 
 @pytest.mark.nightly_for(
-    "docs/agents/dac.md", "docs/agents/ppo.md", "docs/agents/sac.md", "docs/agents/td3.md", "docs/cookbook.md",
+    "docs/agents/dac.md", "docs/agents/hac.md", "docs/agents/hiro.md", "docs/agents/ppo.md", "docs/agents/sac.md",
+    "docs/agents/td3.md", "docs/cookbook.md",
     "docs/data.md", "docs/extend/robot.md", "docs/hierarchies.md", "docs/ladder.md", "docs/metrics.md",
     "docs/observations.md", "docs/options.md", "docs/planning/arm.md", "docs/planning/robots.md",
     "docs/planning/trajectories.md", "docs/reproducibility.md", "docs/third_party.md")
@@ -51,9 +52,12 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.nightly_for(
-    "docs/agents/dac.md", "docs/agents/deep-abstract-q.md", "docs/agents/feudal-rl.md", "docs/agents/fun.md",
-    "docs/agents/hac-finite.md", "docs/agents/hrac-finite.md", "docs/agents/hrac.md", "docs/agents/index.md",
-    "docs/agents/offline.md", "docs/agents/r-maxq.md", "docs/agents/sac.md", "docs/agents/td3.md",
+    "docs/agents/a2oc.md", "docs/agents/dac.md", "docs/agents/ddpg.md", "docs/agents/deep-abstract-q.md",
+    "docs/agents/diayn.md", "docs/agents/feudal-rl.md", "docs/agents/fun.md", "docs/agents/hac-finite.md",
+    "docs/agents/hiro-finite.md", "docs/agents/hiro.md", "docs/agents/hrac-finite.md", "docs/agents/hrac.md",
+    "docs/agents/index.md", "docs/agents/intra-option-q.md", "docs/agents/met-r-max.md", "docs/agents/offline.md",
+    "docs/agents/option-keyboard.md", "docs/agents/ppoc.md", "docs/agents/r-maxq.md", "docs/agents/rainbow.md",
+    "docs/agents/sac.md", "docs/agents/sarsa.md", "docs/agents/sol.md", "docs/agents/td3.md",
     "docs/agents/torchrl-dqn.md", "docs/agents/torchrl-ppo.md", "docs/agents/torchrl-sac.md", "docs/data.md",
     "docs/hierarchies.md", "docs/ladder.md", "docs/planners.md", "docs/viewer.md")
 @pytest.mark.parametrize("page", pages_with("console"), ids=name_page)

@@ -156,6 +156,7 @@ def test_grids_of_a_sequence_have_all_rungs():
     assert [floor.name for floor in place.split.test.sets] == [f"ladder-1/{rung}/test#0..2" for rung in RUNGS_OF_TWO]
 
 
+@pytest.mark.nightly
 def test_baselines_run_join_the_lines_that_are_there(tmp_path: Path, capsys):
     docs = tmp_path / "docs"
     save("ladder", make_lines("pair", "smdp-sarsa", 1.0, 1.0, 1), docs)

@@ -38,7 +38,8 @@ def make(is_many):
     return gymnasium.make("hrl_escape/PointMaze-v1", max_steps=20)
 
 
-@pytest.mark.nightly_for("td3-one", "td3-many", "hrac-one", "hac-one", "sac-many", "ppo-one", "hiro-one")
+@pytest.mark.nightly_for("td3-one", "td3-many", "hrac-one", "hrac-many", "hac-one", "sac-many",
+                         "ppo-one", "hiro-one", "hiro-many")
 @pytest.mark.parametrize(("name", "is_many"), [
     pytest.param(name, is_many, id=f"{name}-{'many' if is_many else 'one'}")
     for name in SMALL for is_many in (False, True)])

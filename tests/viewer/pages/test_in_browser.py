@@ -66,6 +66,7 @@ def wait_for(page: Page, **facts: object) -> None:
     page.wait(" && ".join(f"{FACTS}?.{name} === {json.dumps(str(value))}" for name, value in facts.items()))
 
 
+@pytest.mark.nightly
 def test_play_escapes_by_key_presses_alone_and_undo_returns_the_exact_state(one_button, browser, tmp_path: Path):
     with playing(one_button, browser, tmp_path) as (game, page):
         start = game.episode.state
