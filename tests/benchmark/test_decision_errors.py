@@ -75,7 +75,7 @@ class Recursion:
                           for part, bits in self.divide(worlds, lit, target))
 
 
-@pytest.mark.nightly_for("chain-3-sweep-0")
+@pytest.mark.nightly_for("chain-3-sweep-0", "chain-3-search-random-0")
 @pytest.mark.parametrize(("rung", "player", "seed"), [("pair", "sweep", 0), ("chain-3", "sweep", 0),
                                                       ("chain-3", "search-random", 0)])
 def test_errors_are_those_of_a_plain_recursion(rung: str, player: str, seed: int):

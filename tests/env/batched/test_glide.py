@@ -50,6 +50,7 @@ CARRYING = [name for name, config in sorted(FAMILIES.items()) if config.robot.gr
 PRESSING = sorted(FAMILIES.keys() - CARRYING)
 
 
+@pytest.mark.nightly_for("largest")
 @pytest.mark.parametrize("name", [*thin([name for name in PRESSING if "rectangle" not in name], 6),
                                   *(name for name in PRESSING if "rectangle" in name), *thin(CARRYING, 2)])
 def test_velocities_move_the_batch_as_the_scalar_rules(name):
