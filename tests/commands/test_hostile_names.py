@@ -22,7 +22,8 @@ def folder(tmp_path: Path, monkeypatch) -> Path:
 
 def write_room(folder: Path, name: str) -> str:
     """File of a small room configuration with a name."""
-    (folder / "room.json").write_text(json.dumps({"name": name, "puzzle": {"kind": "buttons", "count": 1}}))
+    (folder / "room.json").write_text(json.dumps({"name": name, "puzzle": {"kind": "buttons", "count": 1},
+                                                  "room": {"width": 8, "depth": 8}}))
     return "room.json"
 
 
