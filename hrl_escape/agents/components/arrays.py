@@ -69,19 +69,15 @@ class Arrays(Stateful):
     def draw_choices(self, probabilities: Any) -> Any:
         """Draw an index from each row of probabilities, int64 (n,) from (n, choices).
 
-        An index of probability 0 is never drawn. Tensors invert the cumulative distribution, with a number a row;
-        NumPy takes the minimum of exponential clocks.
+        An index of probability 0 is never drawn. Tensors are drawn by `draw_rows`; NumPy takes the minimum of
+        exponential clocks.
         """
         if self.library is np and len(probabilities) == 1:
             return np.array([sample_index(probabilities[0], self._generator)])
         if self.library is np:
             waits = self._generator.standard_exponential(probabilities.shape)
             return (probabilities / np.maximum(waits, 1e-30)).argmax(1)
-        sums = probabilities.t().contiguous().cumsum(0)  # column by column, a fifth of the time of row by row
-        total = sums[-1]
-        drawn = total * torch.rand(len(total), generator=self._generator, device=self.device, dtype=total.dtype)
-        drawn = torch.minimum(drawn, total.nextafter(torch.zeros_like(total)))  # the product may round up
-        return (sums <= drawn).sum(0)
+        return draw_rows(probabilities, self._generator)
 
     def join(self, parts: Sequence[Any]) -> torch.Tensor:
         """Concatenate arrays, as a tensor on the device."""
@@ -91,6 +87,18 @@ class Arrays(Stateful):
         """Return an array from a checkpoint."""
         array = np.array(saved)
         return array if self.library is np else torch.from_numpy(array).to(self.device)
+
+
+def draw_rows(probabilities: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
+    """Draw an index from each row of probabilities, int64 (n,) from (n, choices).
+
+    An index of probability 0 is never drawn. Inverts the cumulative distribution, with a number a row.
+    """
+    sums = probabilities.t().contiguous().cumsum(0)  # column by column, a fifth of the time of row by row
+    total = sums[-1]
+    drawn = total * torch.rand(len(total), generator=generator, device=total.device, dtype=total.dtype)
+    drawn = torch.minimum(drawn, total.nextafter(torch.zeros_like(total)))  # the product may round up
+    return (sums <= drawn).sum(0)
 
 
 def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: int) -> Iterator[torch.Tensor]:

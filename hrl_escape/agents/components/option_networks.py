@@ -21,7 +21,7 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.batch_agent import BatchAgent
-from hrl_escape.agents.components.arrays import draw_minibatches
+from hrl_escape.agents.components.arrays import draw_minibatches, draw_rows
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.networks import Learner, ObservationEncoder, make_generator, make_network
 from hrl_escape.agents.components.option_agent import OptionAgent, OptionLog
@@ -32,7 +32,6 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_entropy,
     compute_log_policy,
     find_next,
-    sample_policy,
     take_column,
 )
 from hrl_escape.agents.components.rollout_rows import keep_decision, stack_decisions, unstack_decisions
@@ -97,7 +96,7 @@ class OpenOptions(Stateful):
         former = self._option[env]
         draws = torch.rand(len(env), generator=self._generator, device=env.device)
         ends = (former == NONE) | (draws < take_column(betas, former.clamp(min=0)))
-        option = torch.where(ends, sample_policy(choice.clamp(min=SMALLEST).log(), self._generator), former)
+        option = torch.where(ends, draw_rows(choice, self._generator), former)
         chance = take_column(mix_with_former(betas, choice, former), option)
         self._finish(env[ends & (former != NONE)])
         self._option[env], self._former[env], self._is_chosen[env] = option, former, ends
@@ -414,7 +413,7 @@ class OptionRolloutAgent(BatchAgent, OptionAgent):
         with torch.no_grad():
             option = options.draw(batch.env, self.heads.compute_betas(seen), self.heads.compute_fresh_choice(seen))
             log_policy = self.heads.compute_log_policies(seen, option, batch.action_mask)
-        action = sample_policy(log_policy, rollout.generator)
+        action = draw_rows(log_policy.exp(), rollout.generator)
         rollout.note_choice(batch.env, take_column(log_policy, action))
         return action
 

@@ -177,12 +177,6 @@ def take_column(rows: Any, column: Any) -> Any:
     return rows.gather(1, column[:, None]).squeeze(1)
 
 
-def sample_policy(log_policy: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw an action from each row of log probabilities, int64 (batch,); actions of probability 0 are never drawn."""
-    waits = torch.empty_like(log_policy).exponential_(generator=generator).clamp_(min=1e-30)
-    return (log_policy - waits.log()).argmax(dim=1)  # minimum of exponential clocks
-
-
 def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, advantage: Tensor, clip: float,
                          normalise: bool = True) -> Tensor:
     """Return minus the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A), A normalised; () from (batch,)."""
