@@ -46,8 +46,9 @@ def test_a_pretrained_agent_plays_its_rooms_to_the_published_results(rung, agent
     env.close()
 
 
-@pytest.mark.parametrize("name", thin(LEARNED, 5, 2))  # chain-3 has many rooms
+@pytest.mark.parametrize("name", ["chain-3", *thin([name for name in LEARNED if name != "chain-3"], 5)])
 def test_a_pretrained_agent_drives_in_the_first_test_room_of_its_rung(name: str):
+    """The agent of `chain-3` was trained in a set of rooms."""
     folder, room = find_driver(name)
     benchmark, _, rung = name.rpartition("/")
     assert room is not None and room.digest == load_benchmark(benchmark or "ladder-1")[rung].test[0].digest

@@ -101,5 +101,5 @@ MUTATIONS = [
              "agents/training/run_folder.py::RunFolder.__init__",
              "self._log.truncate(offset)", "pass",
              "agents/training/test_resuming.py::"
-             "test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one[q-learning-corrected]"),
+             "test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one[q-learning-default]"),
 ]

@@ -31,7 +31,6 @@ def parts() -> SimpleNamespace:
                            crossover=copy.deepcopy(load_findings("crossover").numbers))
 
 
-@pytest.mark.nightly
 def test_the_readme_s_finding_holds_in_the_first_rooms_and_again_in_fresh_ones(parts: SimpleNamespace):
     """Its headline, its control and its open problem."""
     study = find_study("parts")
