@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import re
 import stat
@@ -244,7 +245,8 @@ def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str, *, ta
         raise FileReadError(f"{path}: this {what} cannot be read: its values may take {needed >> 20:,} MiB of memory; "
                             f"at most {LARGEST_PARSED >> 20:,} are read here")
     try:
-        value = json.loads(text, parse_constant=None if takes_nan else _refuse_constant)
+        value = json.loads(text) if takes_nan else json.loads(
+            text, parse_constant=_refuse_constant, parse_float=_read_float)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise FileReadError(f"{path}: this {what} is truncated or not JSON: {error.msg} at {where}") from error
@@ -274,6 +276,13 @@ def _estimate_memory(text: str | bytes) -> int:
     marks = {"{": 240, "[": 90, ":": 40, ",": 40}
     content = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
     return len(content) + sum(cost * content.count(mark.encode()) for mark, cost in marks.items())
+
+
+def _read_float(text: str) -> float:
+    value = float(text)
+    if math.isinf(value):
+        raise ValueError(f"{text[:20]} is larger than every finite number")
+    return value
 
 
 def _refuse_constant(name: str) -> None:

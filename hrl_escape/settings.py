@@ -151,6 +151,10 @@ class Range:
         return f"{words} {self.unit}" if self.unit else words
 
 
+Count = Annotated[int, Range(0, 2**53)]
+"""A number of things, which is exact as a float."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
     """Base class of all settings: construction checks every field against its annotation."""

@@ -6,17 +6,23 @@ import contextlib
 import dataclasses
 import json
 import random
+import shutil
+import tempfile
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import hrl_escape
+from benchmarks.leaderboard.page import RESULTS
+from benchmarks.leaderboard.results import check
 from hrl_escape.agents import load_agent, load_result
 from hrl_escape.agents.training.archive import pack_run, unpack_run
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.benchmark.conversion import convert_file
 from hrl_escape.benchmark.grid import load_grid
+from hrl_escape.benchmark.models import evaluate_model
 from hrl_escape.benchmark.recording import record_episode
 from hrl_escape.benchmark.run_results import read_episodes
 from hrl_escape.data import load_data
@@ -30,19 +36,21 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.files import read_json
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.arm.obstacles import Obstacle
 from hrl_escape.planning.best_known import find_best_known, list_start_states
+from hrl_escape.planning.fixed_arm import Arm
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.world import World
 from hrl_escape.sets.grammar import find_config, find_set
 from hrl_escape.sets.manifest import load_manifest
 from hrl_escape.text.recordings import Game, RecordedModel, load_games, record_game, replay_game
-from hrl_escape.text.text_env import RoomSession
+from hrl_escape.text.text_env import RoomSession, ToolCall
 from hrl_escape.viewer.play.episode import SavedEpisode, load_episode, save_episode
 from tests.agents.small_envs import ButtonGrid
 from tests.agents.training.test_damage import change_bytes, change_value
 from tests.benchmark.small import SCHEMATIC, SMALL
 from tests.data.small import make_recording
-from tests.test_openers import MAP, RUN, draw_map, link_run, make_arm, make_run, make_urdf
+from tests.test_openers import MAP, RUN, SRDF, draw_map, link_run, make_arm, make_run, make_urdf
 
 __all__ = ["KINDS", "FileKind", "change_file"]
 
@@ -183,8 +191,71 @@ def read_summaries(path: Path) -> None:
     read_episodes(path.parent, RUN)
 
 
+EXTREME = ("", "nan", "-1", "1e400", "1e-300", "0", "9" * 5000, "\u2603", "0 0", "1 1e9 1")
+
+
+def change_xml(path: Path, chance: random.Random) -> None:
+    """Change a value of an XML file, or leave out or repeat an element."""
+    root = ElementTree.fromstring(path.read_text())
+    elements = list(root.iter())
+    element = chance.choice(elements)
+    if element.attrib and chance.random() < 0.7:
+        values = [value for each in elements for value in each.attrib.values()]
+        element.set(chance.choice(list(element.attrib)), chance.choice([*values, *EXTREME]))
+    elif len(element):
+        part = chance.choice(list(element))
+        element.remove(part)
+        element.extend([part] * chance.choice((0, 2, 3000)))
+    path.write_text(ElementTree.tostring(root, encoding="unicode"))
+
+
+@cache
+def play_talk() -> dict[str, str]:
+    """Files of a model's finished game."""
+    with tempfile.TemporaryDirectory() as folder:
+        talk(Path(folder))
+        return {path.name: path.read_text() for path in Path(folder).iterdir()}
+
+
+def talk(folder: Path) -> None:
+    """Let a caller play one game of one call, or resume it, and print its row."""
+    evaluate_model(lambda transcript, tools: ToolCall("look", {}), rooms=1, most_calls=1, out=folder).describe()
+
+
+def write_talk(path: Path, chance: random.Random) -> None:
+    for name, text in play_talk().items():
+        (path.parent / name).write_text(text)
+
+
+def write_old_games(path: Path, chance: random.Random) -> None:
+    lines = [json.loads(line) for line in play_game(chance.randrange(2)).to_lines()]
+    lines[0] |= {"schema": 1, "told": lines[0].pop("reveal")}
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+
+
+def write_result(path: Path, chance: random.Random) -> None:
+    shutil.copy(chance.choice(sorted(RESULTS.glob("*.json"))), path)
+
+
 def write(text: str) -> Callable[[Path, random.Random], None]:
     return lambda path, chance: path.write_text(text) and None
+
+
+def write_groups(path: Path) -> None:
+    make_urdf(path.parent)
+    path.write_text(SRDF.replace("</robot>", """<group name="arm"><chain base_link="foot" tip_link="boom"/></group>
+<group name="all"><group name="arm"/><joint name="j"/><link name="boom"/></group>
+<group_state name="ready" group="arm"><joint name="j" value="0.5"/></group_state>
+<end_effector name="e" parent_link="boom" group="arm"/><disable_default_collisions link="foot"/></robot>"""))
+
+
+def use_arm(folder: Path) -> None:
+    """Load an arm with its SRDF and plan a motion between obstacles."""
+    arm = Arm.from_urdf(folder / "r.urdf", srdf=folder / "r.srdf", group="all", floor=-1.0,
+                        obstacles=[Obstacle.mesh("thing", folder / "m.obj", (5.0, 0.0, 0.0))])
+    with contextlib.suppress(PlanningFailed):
+        arm.plan("home", [0.2] * len(arm.joint_names))
+    arm.attach("thing", "home").is_free("home")
 
 
 def write_map(path: Path, chance: random.Random) -> None:
@@ -232,12 +303,20 @@ KINDS: dict[str, FileKind] = {
                         lambda path: World.read(path.with_name("m.yaml"), RobotConfig(), (4.0, 4.0, 0.0))),
     "URDF": FileKind("arm/r.urdf", lambda path, chance: make_urdf(path.parent), in_folder(make_arm)),
     "SRDF": FileKind("arm/r.srdf", lambda path, chance: make_urdf(path.parent), in_folder(make_arm)),
+    "arm": FileKind("arm/r.urdf", lambda path, chance: write_groups(path.with_name("r.srdf")),
+                    in_folder(use_arm), change_xml),
+    "groups": FileKind("arm/r.srdf", lambda path, chance: write_groups(path), in_folder(use_arm), change_xml),
     "mesh": FileKind("arm/m.obj", lambda path, chance: make_urdf(path.parent), in_folder(make_arm)),
     "old file": FileKind("x.json", write(json.dumps({"agents": ["smdp-dqn", {"name": "dqn"}], "rooms": [
         {"preset": "clutter", "seed": 1}]})), lambda path: convert_file(path, path.with_name("y.json")), change_json),
     "old episode": FileKind("x.json", lambda path, chance: path.write_text(json.dumps(
-        {"kind": "episode", "schema": 2, "instance": get_room(0).to_dict(), "moves": [], "end": None})),
-        lambda path: convert_data(path, path.with_name("y.json")), change_json),
+        {"kind": "episode", "schema": 2, "instance": get_room(0).to_dict(), "moves": [{"name": "meta-01"}],
+         "end": None})), lambda path: convert_data(path, path.with_name("y.json")), change_json),
+    "old games": FileKind("x.jsonl", write_old_games, lambda path: convert_data(path, path.with_name("y.jsonl")),
+                          change_lines),
+    "model's game": FileKind("game-000.json", write_talk, in_folder(talk), change_json),
+    "model's usage": FileKind("usage.json", write_talk, in_folder(talk), change_json),
+    "leaderboard": FileKind("x.json", write_result, lambda path: check(path, 1, 0), change_json),
 }
 """All kinds by name."""
 

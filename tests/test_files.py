@@ -169,6 +169,7 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     ("7" * 5_000, "a number of thousands of digits"),
     ('{"a": NaN}', "NaN is not a JSON number"),
     ("[-Infinity]", "-Infinity is not a JSON number"),
+    ('{"a": -1e400}', "-1e400 is larger than every finite number"),
 ])
 def test_extreme_json_is_refused_in_words(tmp_path, text, words):
     (tmp_path / "x.json").write_text(text)

@@ -115,7 +115,8 @@ class EnvSpec(Settings):
         """Make the environment of an agent, with the options if it chooses among them.
 
         Raises:
-            GridError: the agent needs a room, options that are missing, or the environment without its own options.
+            GridError: the agent needs a room, options that are missing, or the environment without its own options; or
+            the function that makes the options fails.
         """
         if agent.low_level is not None or (agent.is_reference and not agent.is_frozen):
             what = "its hierarchy is made from a room" if agent.low_level else "it reads a room"
@@ -127,8 +128,15 @@ class EnvSpec(Settings):
         if agent.chooses_options and self.options:
             from hrl_escape.options.options_env import OptionsEnv  # loads the planners
 
-            return OptionsEnv(env, _find_part(self.options, "options"), include_primitives=view.include_primitives,
-                              interruptible=view.interruptible, max_duration=view.max_duration, trace=agent.needs_trace)
+            options = _find_part(self.options, "options")
+            try:
+                return OptionsEnv(env, options, include_primitives=view.include_primitives, trace=agent.needs_trace,
+                                  interruptible=view.interruptible, max_duration=view.max_duration)
+            except EscapeError:
+                raise
+            except Exception as error:  # the user's function can raise anything
+                raise GridError(f"options = {self.options}: they cannot be made: {type(error).__name__}: {error}"
+                                ) from error
         if agent.chooses_options == env.has_wrapper_attr("primitive_count"):
             return env
         env.close()
@@ -210,9 +218,10 @@ def _find_part(text: str, role: str) -> Any:
         module = load_file(place) if place.endswith(".py") else importlib.import_module(place)
     except EscapeError:
         raise
-    except Exception as error:  # the user's code can raise anything
+    except (Exception, SystemExit) as error:  # the user's code can raise anything, and a script can end itself
         raise GridError(f"{role} = {text}: {place} cannot be loaded: {type(error).__name__}: {error}") from error
-    if not hasattr(module, name):
+    try:
+        return getattr(module, name)
+    except AttributeError:
         known = [each for each, value in vars(module).items() if callable(value) and not each.startswith("_")]
-        raise GridError(f"{role} = {text}: {place} has no {name}; it has {join_words(known)}")
-    return getattr(module, name)
+        raise GridError(f"{role} = {text}: {place} has no {name}; it has {join_words(known)}") from None

@@ -22,6 +22,10 @@ from hrl_escape.env.urdf import LARGEST_VISUAL, MESH_ENDINGS
 from hrl_escape.errors import FileReadError, FileWriteError, MissingPackageError
 from hrl_escape.files import check_files, read_bytes, temporary_folder
 
+MOST_WORDS = 8_000_000
+"""Words of the largest OBJ file, four for a vertex or a triangle; two million vertices take 5 s and 700 MB."""
+_SPACE = bytes(number for number in range(256) if chr(number).isspace())
+
 
 class TriangleMesh(NamedTuple):
     """Triangles of a mesh in the file's own frame and unit. Do not write to the arrays."""
@@ -86,7 +90,11 @@ def _read_obj(path: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     as `.3`, and drops faces that refer to no vertex.
     """
     vertices, triangles = list[list[float]](), list[tuple[int, int, int]]()
-    text = read_bytes(path, "mesh", LARGEST_VISUAL).decode("latin-1").replace("\\\n", " ").replace("\\\r\n", " ")
+    content = read_bytes(path, "mesh", LARGEST_VISUAL)
+    words = len(content) - len(content.translate(None, _SPACE))
+    if words > MOST_WORDS:
+        raise FileReadError(f"{path}: this mesh has some {words:,} words; at most {MOST_WORDS:,} are read. Simplify it")
+    text = content.decode("latin-1").replace("\\\n", " ").replace("\\\r\n", " ")
     for number, line in enumerate(text.splitlines(), 1):
         word, *rest = line.split("#")[0].split() or [""]
         try:

@@ -16,13 +16,15 @@ from typing import TypeAlias
 from xml.etree import ElementTree
 
 from hrl_escape.errors import FileReadError, RobotError
-from hrl_escape.files import check_files, open_plain, read_bytes
+from hrl_escape.files import DEEPEST, check_files, open_plain, read_bytes
 
 MESH_ENDINGS, LARGEST_MESHES = (".stl", ".obj", ".dae"), 2**25  # bytes of all collision meshes: some 600,000 faces
 LARGEST_URDF = 2**23
 """Bytes of the largest URDF file, 8 MiB."""
 LARGEST_VISUAL = 2**26
 """Bytes of the largest mesh that is drawn, 64 MiB."""
+MOST_LINKS = 1000
+"""Links of the largest URDF; libraries that read it call themselves at every link of a chain."""
 PackagePaths: TypeAlias = "Mapping[str, str | Path] | Sequence[str | Path]"
 _SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "capsule": ("radius", "length")}
 _MOST_FOLDERS = 2000  # of a tree that is searched for packages
@@ -86,18 +88,37 @@ def climb(above: Mapping[str, ElementTree.Element], link: str, base: str = "") -
         link = "" if parent is None else parent.get("link", "")
 
 
+def parse_xml(text: str | bytes) -> ElementTree.Element:
+    """Parse XML of at most `DEEPEST` levels, which recursive functions can take.
+
+    Raises:
+        ParseError: the text is not XML.
+        ValueError: it is nested deeper, or contains NUL.
+        LookupError: its encoding is unknown.
+    """
+    root = ElementTree.fromstring(text.lstrip("\ufeff") if isinstance(text, str) else text)
+    level = [root]
+    for _ in range(DEEPEST):
+        level = [part for outer in level for part in outer]
+    if level:
+        raise ValueError(f"it is nested more than {DEEPEST} levels deep")
+    return root
+
+
 def parse_urdf(text: str | bytes, where: str) -> ElementTree.Element:
     """Parse a URDF; raises `RobotError` where `where` is none."""
     try:
-        root = ElementTree.fromstring(text.lstrip("\ufeff") if isinstance(text, str) else text)
+        root = parse_xml(text)
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # an unknown encoding is a LookupError
-        raise RobotError(f"{where} is not XML: {error}") from None
+        raise RobotError(f"{where} is not XML that can be read: {error}") from None
     xacro = find_xacro(root)
     if xacro is not None:
         raise RobotError(f"{where} is a xacro file that was not expanded ({xacro}). Run `xacro FILE > robot.urdf` and "
                          "load that file")
     if root.tag != "robot" or root.find("link") is None:
         raise RobotError(f"{where} is not a URDF: no <robot> with links in it")
+    if (count := len(root.findall("link"))) > MOST_LINKS:
+        raise RobotError(f"{where} has {count:,} links; at most {MOST_LINKS:,} are read")
     return root
 
 

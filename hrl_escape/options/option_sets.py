@@ -58,7 +58,7 @@ def check_option_set(name: str) -> None:
     """
     if not isinstance(name, str) or name not in option_sets:
         raise UnknownNameError(option_sets.kind, name, option_sets.names(),
-                               closest="press-reactive" if name == "press-markov" else None)
+                               closest="press-reactive" if str(name) == "press-markov" else None)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,8 @@ if TYPE_CHECKING:  # loads OMPL and Ruckig
 
 MOST_MESH_CELLS = 5_000_000
 """Cells that a mesh may take, of its floor or of its faces."""
+MOST_BOXES = 100_000
+"""Boxes that the solid cells of a map or a mesh may make."""
 _POSE = "x and y in m, and a heading in rad"
 RIM = 0.1
 """Thickness of the walls that stand round a world, m."""
@@ -106,7 +109,7 @@ class World:
 
         Raises:
             FileReadError: a file is missing, damaged, too large or not a map, or the map is turned.
-            ConfigError: the height is not positive, or the start is not free.
+            ConfigError: the height is not positive, the map has too many boxes, or the start is not free.
         """
         if not height > 0.0:
             raise ConfigError("height", height, "above 0 m")
@@ -135,8 +138,8 @@ class World:
 
         Raises:
             FileReadError: a file that is missing or is no mesh.
-            ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, or a
-                start that is not free.
+            ConfigError: a cell or a height that is none, nothing on the floor, a mesh too large for its cells, too many
+                boxes, or a start that is not free.
         """
         from hrl_escape.env.mesh_files import load_triangles  # loads coal
 
@@ -269,20 +272,23 @@ def split_triangles(corners: NDArray[np.float64], longest: float) -> NDArray[np.
 def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float, float]) -> list[Solid]:
     """Boxes on the cells of a floor with a corner, m, as high as `heights`, (rows along y, columns along x), m.
 
-    Cells side by side of one height are one box.
+    Cells side by side of one height are one box. Raises `ConfigError` for more than `MOST_BOXES`.
     """
     x, y = corner
+    merged = ((height, box) for height in np.unique(heights[heights > 0.0]) for box in merge_cells(heights == height))
+    boxes = list(itertools.islice(merged, MOST_BOXES + 1))
+    if len(boxes) > MOST_BOXES:
+        raise ConfigError("boxes", f"more than {MOST_BOXES:,}", f"at most {MOST_BOXES:,} of solid cells side by side. "
+                          "Take larger cells, or remove single cells from the map")
     return [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
-                  height=float(height)) for height in np.unique(heights[heights > 0.0])
-            for a, b, c, d in merge_cells(heights == height)]
+                  height=float(height)) for height, (a, b, c, d) in boxes]
 
 
-def merge_cells(solid: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
-    """Rectangles (first column, column after the last, first row, row after the last) of the cells (rows, columns)."""
-    done, open_runs = [], dict[tuple[int, int], int]()
+def merge_cells(solid: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the rectangles of cells (rows, columns): first column, column after the last, first row, row after."""
+    open_runs = dict[tuple[int, int], int]()
     for row, cells in enumerate([*solid, np.zeros(solid.shape[1], dtype=bool)]):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(np.int8), [0]])))
         runs = {(int(a), int(b)) for a, b in edges.reshape(-1, 2)}
-        done += [(a, b, first, row) for (a, b), first in open_runs.items() if (a, b) not in runs]
+        yield from ((a, b, first, row) for (a, b), first in open_runs.items() if (a, b) not in runs)
         open_runs = {run: open_runs.get(run, row) for run in sorted(runs)}
-    return done

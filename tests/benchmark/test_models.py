@@ -90,9 +90,12 @@ def test_budgets_stop_games_and_the_same_call_resumes(tmp_path: Path):
             evaluate_model(connect(endpoint.url), rooms=3, out=tmp_path, reveal="names")
         with pytest.raises(RunMismatchError, match="options"):
             evaluate_model(connect(endpoint.url, options={"temperature": 0}), rooms=3, out=tmp_path)
-        (tmp_path / "game-001.json").write_text("{}")
-        with pytest.raises(FileReadError, match="game-001"):
-            evaluate_model(connect(endpoint.url), rooms=3, out=tmp_path)
+        sound = (tmp_path / "game-001.json").read_text()
+        huge = sound.replace('"prompt_tokens": ', '"prompt_tokens": 1' + "0" * 400)
+        for damaged in ("{}", huge, sound.replace('"invalid_calls": ', '"invalid_calls": -1')):
+            (tmp_path / "game-001.json").write_text(damaged)
+            with pytest.raises(FileReadError, match="game-001"):
+                evaluate_model(connect(endpoint.url), rooms=3, out=tmp_path)
         late = evaluate_model(connect(endpoint.url), rooms=1, budget=Budget(seconds=0.0))
         assert late.unfinished == {0: "the time limit is reached"} and not late.games
     for wrong in ({"tokens": -1}, {"seconds": math.nan}, {"dollars": 1.0}):

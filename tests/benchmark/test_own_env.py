@@ -167,11 +167,19 @@ def test_changed_code_makes_other_runs_and_equal_code_the_same(tmp_path: Path):
     (["random"], {"env": "nowhere.py:make"}, "nowhere.py"),
     (["random"], {"env": f"{__file__}:absent"}, "has no absent; it has"),
     (["random"], {"env": lambda: 3}, "made 3, which is not a gymnasium.Env"),
+    (["smdp-q-learning"], {"options": lambda env: 1 / 0}, "cannot be made: ZeroDivisionError: division by zero"),
+    (["smdp-q-learning"], {"options": lambda: []}, "cannot be made: TypeError"),
 ])
 def test_what_cannot_be_compared_is_refused_before_any_run(names: list[str], env: dict[str, Any], says: str):
     with pytest.raises(Exception, match=re.escape(says)) as refused:
         make_grid(*names, **env).make_places()
     assert type(refused.value).__module__ == "hrl_escape.errors"
+
+
+def test_a_script_that_ends_itself_is_refused(tmp_path: Path):
+    (tmp_path / "script.py").write_text("import sys\nsys.exit(0)\n")
+    with pytest.raises(GridError, match=r"script\.py cannot be loaded: SystemExit: 0"):
+        make_grid("random", env=f"{tmp_path / 'script.py'}:make").make_places()
 
 
 def test_a_grid_of_an_environment_is_read_from_its_file(tmp_path: Path):

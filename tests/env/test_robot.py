@@ -14,6 +14,7 @@ import pybullet
 import pytest
 
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.mesh_files import load_mesh
 from hrl_escape.env.robot import BASE_LINK, Robot, make_robot, sample_hand_positions
 from hrl_escape.env.urdf import LARGEST_MESHES, load_urdf
 from hrl_escape.errors import ConfigError, FileReadError, RobotError
@@ -256,6 +257,19 @@ def test_load_urdf_says_what_it_cannot_read(tmp_path: Path):
         load_urdf(tmp_path / "broken.urdf")
 
 
+@pytest.mark.parametrize(("body", "words"), [
+    ("<a>" * 5000 + "</a>" * 5000, "nested more than 100 levels deep"),
+    ("<link/>" * 1001, "has 1,001 links; at most 1,000 are read"),
+])
+def test_a_urdf_that_libraries_would_call_themselves_too_often_for_is_refused(body: str, words: str, tmp_path: Path):
+    text = f'<robot name="r">{body}</robot>'
+    (tmp_path / "r.urdf").write_text(text)
+    with pytest.raises(RobotError, match=words):
+        load_urdf(tmp_path / "r.urdf")
+    with pytest.raises(RobotError, match=words):
+        make_robot(RobotConfig(kind="urdf", joints=1, urdf=text))
+
+
 def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Path):
     (tmp_path / "arm_description" / "meshes").mkdir(parents=True)
     mesh = tmp_path / "arm_description" / "meshes" / "link.stl"
@@ -292,6 +306,13 @@ def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: 
     with pytest.raises((FileReadError, RobotError), match=words) as caught:
         make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=make_collision(path)), joints=1))
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("space", [" ", "\n"])
+def test_an_obj_of_too_many_words_is_refused_before_it_is_split(tmp_path: Path, space: str):
+    (tmp_path / "m.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2{space * 8_000_000} 3\n")
+    with pytest.raises(FileReadError, match="has some 8,000,016 words; at most 8,000,000 are read"):
+        load_mesh(tmp_path / "m.obj")
 
 
 def test_many_meshes_are_too_large_together(tmp_path: Path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gymnasium
+import numpy as np
 import pytest
 
 from hrl_escape import OptionsEnv, train
@@ -92,6 +93,11 @@ def test_an_unknown_name_is_answered_with_the_closest_and_with_all(ask):
         ask("second-or-hom")
     with pytest.raises(UnknownNameError, match="'press-markov'; did you mean 'press-reactive'"):
         ask("press-markov")
+
+
+def test_what_is_no_name_is_refused_too():
+    with pytest.raises(UnknownNameError, match="unknown option set"):
+        OptionsEnv(EscapeRoomEnv(), option_set=np.zeros(2))  # type: ignore[arg-type]
 
 
 def test_a_set_without_a_batched_form_is_refused_by_batches_and_over_velocities():

@@ -52,6 +52,20 @@ GROUPS = """<robot name="tree"><group name="left"><chain base_link="column" tip_
 <group_state name="out" group="left"><joint name="left-elbow" value="1"/></group_state></robot>"""
 
 
+def test_a_group_may_be_in_another_in_another_and_so_on_or_in_itself():
+    chain = "".join(f'<group name="g{number}"><group name="g{number + 1}"/></group>' for number in range(2000))
+    srdf = f"""<robot name="tree">{chain}<group name="g2000"><joint name="left-elbow"/><group name="g0"/>
+        <joint name="lift"/></group></robot>"""
+    assert Arm.from_urdf(TREE, srdf=srdf, group="g0").joint_names == ("left-elbow", "lift")
+
+
+def test_an_arm_without_collision_shapes_moves_straight():
+    arm = Arm.from_urdf('<robot name="bare"><link name="foot"/><link name="boom"/>'
+                        + make_joint("turn", "revolute", "foot", "boom", "0 0 0") + "</robot>")
+    path = arm.plan(arm.home, [1.5])
+    assert len(path.points) == 2 and path.points[-1].tolist() == [1.5]
+
+
 def test_the_hand_is_where_geometry_says_from_a_base_at_any_placement():
     turn, (shoulder, elbow), lift = 0.7, (0.3, -0.8), 0.25
     arm = Arm.from_urdf(TREE, hand="left-tip", home={"lift": lift}, base_pose=(1.0, 2.0, 3.0, 0.0, 0.0, turn),

@@ -48,11 +48,11 @@ def test_rectangles_cover_exactly_the_occupied_cells():
     for share in (0.0, 0.3, 0.8, 1.0):
         cells = rng.random((17, 23)) < share
         covered = np.zeros(cells.shape, dtype=int)
-        boxes = merge_cells(cells)
+        boxes = list(merge_cells(cells))
         for a, b, c, d in boxes:
             covered[c:d, a:b] += 1
         assert (covered == cells).all()
-    assert merge_cells(np.ones((4, 5), dtype=bool)) == [(0, 5, 0, 4)]
+    assert list(merge_cells(np.ones((4, 5), dtype=bool))) == [(0, 5, 0, 4)]
 
 
 @pytest.mark.nightly
@@ -235,6 +235,13 @@ def test_impossible_states_are_refused():
             world.make_state(0.0, 0.0, 0.0, angles)
     with pytest.raises(ConfigError, match=r"^pose = .*3 finite numbers"):
         world.make_state(0.0, np.inf)
+
+
+def test_a_map_of_too_many_single_cells_is_refused(tmp_path):
+    path = write_map(tmp_path)
+    Image.fromarray(np.kron(np.ones((500, 500)), [[0, 254], [254, 0]]).astype(np.uint8)).save(tmp_path / "map.pgm")
+    with pytest.raises(ConfigError, match=r"boxes = .*more than 100,000.* at most 100,000 of solid cells"):
+        World.read(path, ROBOT, (1.0, 4.0, 0.0))
 
 
 def test_impossible_worlds_are_refused(tmp_path):

@@ -5,17 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
 
 from hrl_escape.env.robot import MOVING, Robot
-from hrl_escape.env.urdf import LARGEST_URDF, climb, find_xacro, is_xml, map_joints
+from hrl_escape.env.urdf import LARGEST_URDF, climb, find_xacro, is_xml, map_joints, parse_xml
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.files import read_bytes
 
 _SLACK = 1e-3  # rad or m that a posture may be beyond a limit, from which it is brought back
+_MOST_PAIRS = 100_000  # of links that are off by default, which are written out
 
 
 class ArmGroup(NamedTuple):
@@ -39,7 +40,8 @@ def read_srdf(source: str | Path, robot: Robot) -> tuple[str, dict[str, tuple[fl
         a warning.
 
     Raises:
-        ConfigError: there is no such file, or it is not an SRDF, or belongs to another robot.
+        ConfigError: there is no such file, or it is not an SRDF, or belongs to another robot, or too many pairs are off
+            by default.
     """
     root, where = _parse(source)
     links = {link.get("name", "") for link in ElementTree.fromstring(robot.urdf).findall("link")}
@@ -73,25 +75,19 @@ def find_group(source: str | Path, urdf: ElementTree.Element, name: str = "") ->
     if name not in groups:
         raise ConfigError("group", name, f"a group of the SRDF: {', '.join(groups)}")
     above = map_joints(urdf)
-    names, tips, seen = list[str](), list[str](), set[str]()
-
-    def collect(group: str) -> None:
-        if group in seen or group not in groups:
-            return
-        seen.add(group)
-        for part in groups[group]:
-            if part.tag == "group":
-                collect(part.get("name", ""))
-            elif part.tag == "chain":
-                tips.append(part.get("tip_link", ""))
-                names.extend(joint.get("name", "")
-                             for joint in reversed(list(climb(above, tips[-1], part.get("base_link", "")))))
-            elif part.tag == "joint":
-                names.append(part.get("name", ""))
-            elif part.tag == "link" and part.get("name") in above:
-                names.append(above[part.get("name", "")].get("name", ""))
-
-    collect(name)
+    names, tips, parts = list[str](), list[str](), deque(groups.pop(name))
+    while parts:
+        part = parts.popleft()
+        if part.tag == "group":
+            parts.extendleft(reversed(groups.pop(part.get("name", ""), ())))  # once, as groups may form a circle
+        elif part.tag == "chain":
+            tips.append(part.get("tip_link", ""))
+            names.extend(joint.get("name", "")
+                         for joint in reversed(list(climb(above, tips[-1], part.get("base_link", "")))))
+        elif part.tag == "joint":
+            names.append(part.get("name", ""))
+        elif part.tag == "link" and part.get("name") in above:
+            names.append(above[part.get("name", "")].get("name", ""))
     moving = [joint.get("name", "") for joint in urdf.findall("joint")
               if joint.get("type") in MOVING and joint.find("mimic") is None]
     joints = tuple(joint for joint in dict.fromkeys(names) if joint in moving)
@@ -106,8 +102,7 @@ def _parse(source: str | Path) -> tuple[ElementTree.Element, str]:
     is_text = is_xml(source)
     where = "the text given" if is_text else str(source)[:200]
     try:
-        content = str(source).lstrip("\ufeff") if is_text else read_bytes(source, "SRDF", LARGEST_URDF)
-        root = ElementTree.fromstring(content)
+        root = parse_xml(str(source) if is_text else read_bytes(source, "SRDF", LARGEST_URDF))
     except (FileReadError, ValueError, LookupError, ElementTree.ParseError) as error:
         raise ConfigError("srdf", where, f"an SRDF, its text or path: {error}") from None
     xacro = find_xacro(root)
@@ -123,6 +118,9 @@ def _parse(source: str | Path) -> tuple[ElementTree.Element, str]:
 def _write_out_defaults(root: ElementTree.Element, links: list[str]) -> None:
     """Add the pairs of links whose collisions are off by default, but for those that are enabled."""
     off = {element.get("link", "") for element in root.findall("disable_default_collisions")}
+    if len(off.intersection(links)) * len(links) > _MOST_PAIRS:
+        raise ConfigError("srdf", f"{len(off):,} of {len(links):,} links off by default", f"at most {_MOST_PAIRS:,} "
+                          "pairs of links. Write <disable_collisions> for the pairs that may touch")
     enabled = {frozenset((pair.get("link1"), pair.get("link2"))) for pair in root.findall("enable_collisions")}
     for first, second in itertools.combinations(links, 2):
         if (first in off or second in off) and frozenset((first, second)) not in enabled:

@@ -61,6 +61,19 @@ def test_a_state_with_an_angle_that_the_joint_cannot_have_is_left_out(value: str
         assert list(read(states).postures) == ["near"]
 
 
+def test_an_srdf_that_is_nested_too_deep_is_refused():
+    with pytest.raises(ConfigError, match="nested more than 100 levels deep"):
+        read("<a>" * 5000 + "</a>" * 5000)
+
+
+def test_too_many_pairs_that_are_off_by_default_are_refused():
+    rest = "".join(f'<link name="l{number}"/><joint name="f{number}" type="fixed"><parent link="foot"/>'
+                   f'<child link="l{number}"/></joint>' for number in range(400))
+    off = "".join(f'<disable_default_collisions link="l{number}"/>' for number in range(400))
+    with pytest.raises(ConfigError, match="at most 100,000 pairs of links"):
+        read(off, make_arm(rest=rest), "boom", 1)
+
+
 THREE = """<link name="a"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>
 <joint name="ja" type="revolute"><parent link="foot"/><child link="a"/><origin xyz="0 0.5 0.3"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
