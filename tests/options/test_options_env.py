@@ -34,6 +34,18 @@ GAMMA = 0.9
 FORWARD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = range(6)
 
 
+def make_wait(env: gymnasium.Env) -> list[Option]:
+    """Options that a function of a module makes."""
+    return [ScriptedOption("wait", [0])]
+
+
+def test_a_spec_with_a_function_of_a_module_is_written_as_json_and_makes_the_environment_again():
+    env = OptionsEnv(gymnasium.make("CartPole-v1"), make_wait)
+    assert env.spec is not None
+    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.get_wrapper_attr("action_names")[-1] == "wait"
+
+
 def make_env(horizon: int | None = None, name: str = "paper-one-button", **arguments) -> EscapeRoomEnv:
     config = get_preset(name)
     if horizon is not None:

@@ -192,6 +192,18 @@ def test_no_maximum_is_taken_where_the_trace_does_not_say_what_is_legal():
     assert agent.compute_values(0)[1] == pytest.approx(-1 - 0.9), "option 1 goes on there and needs none"
 
 
+def test_a_random_choice_is_repeated_within_its_episode_alone():
+    agent = make_intra(SmdpEnv(make_random_smdp(0, states=4, actions=3)), repeats=(1000,))
+
+    def choose(**fields):
+        choice = int(agent.act(0, ALL.astype(np.bool_)))
+        show(agent, choice, [Step(0, choice, -1.0, 1, ALL, ((choice, 1.0),))], **fields)
+        return choice
+
+    assert len({choose() for _ in range(30)}) == 1
+    assert {choose(terminated=True) for _ in range(30)} == {0, 1, 2}
+
+
 def test_an_environment_without_traces_is_refused_with_the_way_out():
     agent = make_intra(env := SmdpEnv(make_random_smdp(0)))
     with pytest.raises(StepContractError, match=r"trace=True"):

@@ -59,5 +59,7 @@ def test_files_of_other_programs_are_read(tmp_path: Path):
         read_csv_curve(tmp_path / "odd.csv")
     assert read_csv_curve(tmp_path / "odd.csv", "mine", "n", "score") == RunCurve("mine", pytest.approx([1]),  # type: ignore[arg-type]
                                                                                  pytest.approx([2]))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        curve.seed = 1  # type: ignore[misc]  # a value, as results are
     axes = plot_runs([tmp_path / "board/log.csv", tmp_path / "monitor/log.csv"]).axes[0]
     assert [line.get_label() for line in axes.lines] == ["board", "monitor"]

@@ -311,6 +311,21 @@ def test_episodes_that_are_dropped_count_as_truncated_and_options_do_not_go_on()
     assert (agent._many[1].state_dict()["former"] == NONE).all()
 
 
+def test_a_rollout_that_has_begun_is_saved_and_goes_on():
+    agent, fresh = make("dac", rollout=10**6), make("dac", rollout=10**6)
+    Lives(agent, 8, 0).run()
+    fresh.begin_episodes(8, CPU)
+    fresh._many[0].load_state_dict(agent._many[0].state_dict())
+    assert len(fresh._many[0]) == len(agent._many[0]) > 8
+    for now, before in zip(fresh._many[0].gather(), agent._many[0].gather(), strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(now, before, strict=True))
+    fresh._many[0].take()
+    again = make("dac", rollout=10**6)
+    again.begin_episodes(8, CPU)
+    again._many[0].load_state_dict(fresh._many[0].state_dict())
+    assert len(again._many[0]) == 0
+
+
 def test_a_rollout_of_many_streams_is_cut_into_as_many_minibatches_as_one_of_one():
     agent = make("dac", rollout=64, batch_size=16, epochs=1)
     assert [len(rows) for rows in agent._draw_batches(64, 64)] == [16] * 4

@@ -11,6 +11,7 @@ from hrl_escape.agents.algorithms.task_hierarchies.h_dqn import HDqn
 from hrl_escape.agents.hierarchy.goal_space import GoalSet
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.checks import check_agent
+from hrl_escape.errors import AgentSettingsError
 from tests.agents.running import interact, learn
 from tests.agents.small_envs import Outcome, SmdpEnv
 from tests.classic.chain import LENGTH, Chain
@@ -144,6 +145,12 @@ def test_patience_is_counted_in_primitives_in_evaluation_as_in_training():
 def test_it_keeps_the_contract_of_agents(values):
     small = {"hidden": (8,), "batch_size": 8, "worker_warmup": 20, "patience": 7}
     check_agent(HDqn, HDqn.Settings(values=values, **small), decisions=200)
+
+
+def test_a_replay_of_one_decision_is_the_smallest():
+    assert HDqn.Settings(replay_capacity=1).replay_capacity == 1
+    with pytest.raises(AgentSettingsError, match="replay_capacity = 0"):
+        HDqn.Settings(replay_capacity=0)
 
 
 def test_goals_that_are_given_are_a_privilege():
