@@ -42,7 +42,7 @@ def load_mesh(path: str | Path) -> TriangleMesh:
             not finite.
         MissingPackageError: coal, which reads it, is not installed.
     """
-    if Path(path).exists():
+    if os.path.exists(path):
         check_files([str(path)], "mesh", MESH_ENDINGS, LARGEST_VISUAL)
     try:
         status = os.stat(path)

@@ -62,8 +62,8 @@ def load_urdf(path: str | Path, package_paths: PackagePaths = ()) -> str:
         if found is not None:
             mesh.set("filename", str(found))
         elif part == "collision":
-            raise RobotError(f"the URDF {path} gives link {link!r} the collision mesh {name!r}, which was not found. "
-                             f"{finder.advise(name)}")
+            raise RobotError(f"the URDF {path} gives link {link!r} the collision mesh {name[:200]!r}, which was not "
+                             f"found. {finder.advise(name)}")
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -158,7 +158,7 @@ class _MeshFinder:
             return None if root is None else root / rest
         tail = tail if scheme in ("", "file") else name
         places = [Path(tail)] if Path(tail).is_absolute() else [folder / tail for folder in self._folders]
-        return next((place for place in places if place.is_file()), None)
+        return next((place for place in places if os.path.isfile(place)), None)
 
     def advise(self, name: str) -> str:
         if not name.startswith(("package://", "model://")):
@@ -168,12 +168,15 @@ class _MeshFinder:
 
     def _find_package(self, name: str, rest: str) -> Path | None:
         if name not in self._known:
-            self._known[name] = next((folder for folder in self._list_candidates(name) if (folder / rest).is_file()),
-                                     None)
+            self._known[name] = self._find_with(name, rest)
         known = self._known[name]
-        if known is not None and not (known / rest).is_file():
-            return next((folder for folder in self._list_candidates(name) if (folder / rest).is_file()), None)
+        if known is not None and not os.path.isfile(known / rest):
+            return self._find_with(name, rest)
         return known
+
+    def _find_with(self, name: str, rest: str) -> Path | None:
+        """Return the first folder of a package that has a file."""
+        return next((folder for folder in self._list_candidates(name) if os.path.isfile(folder / rest)), None)
 
     def _list_candidates(self, name: str) -> Iterator[Path]:
         if isinstance(self._paths, Mapping):

@@ -308,6 +308,16 @@ def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: 
     assert str(path) in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["9" * 5000, "package://" + "9" * 5000, "package://tool/" + "9" * 5000 + ".obj"])
+def test_a_name_that_no_mesh_can_have_is_refused(tmp_path: Path, name: str):
+    mesh = make_collision(Path("NAME")).replace("NAME", name)
+    (tmp_path / "r.urdf").write_text(MESH_ARM.format(meshes=mesh))
+    with pytest.raises(RobotError, match="gives link 'base' the collision mesh '.*9.*', which was not found"):
+        load_urdf(tmp_path / "r.urdf")
+    with pytest.raises(FileReadError, match="no such mesh"):
+        load_mesh(name)
+
+
 @pytest.mark.parametrize("space", [" ", "\n"])
 def test_an_obj_of_too_many_words_is_refused_before_it_is_split(tmp_path: Path, space: str):
     (tmp_path / "m.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2{space * 8_000_000} 3\n")

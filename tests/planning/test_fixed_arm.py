@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import time
 from pathlib import Path
 
 import numpy as np
@@ -180,8 +181,10 @@ def test_a_motion_avoids_an_obstacle_above_the_floor_and_passes_below_it():
     check = ArmCheck(arm)
     assert check.measure_path(around)[0] >= 0.01 - 1e-3
     check.close()
+    began = time.perf_counter()
     with pytest.raises(PlanningFailed, match="left-lower meets beam") as refused:
         arm.plan("home", goal)
+    assert 0 < refused.value.seconds <= time.perf_counter() - began
     assert refused.value.start is None and str(refused.value).startswith("no plan for configuration: ")
     trajectory = arm.trajectory(around)
     times, positions, velocities = trajectory.sample(1000)

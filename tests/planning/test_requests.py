@@ -131,6 +131,12 @@ def test_times_are_those_of_trapezoids_and_triangles_with_rounded_corners():
     assert result.cost == pytest.approx(compute_rest_to_rest(result.plan.cost, 1.0, 1.0, 10.0))
 
 
+def test_the_first_plan_is_the_answer_unless_a_better_one_is_asked_for(planner, start):
+    once = planner.answer(PlanningRequest(start, "press-button-1", budget=20_000))
+    more = planner.answer(PlanningRequest(start, "press-button-1", budget=20_000, improve=True))
+    assert once.plan is not None and once.cost > once.lower_bound and once.spent < more.spent
+
+
 @pytest.mark.nightly
 def test_improvement_is_monotone_reported_and_reaches_the_reference():
     instance = generate(get_preset("clutter"), 5)

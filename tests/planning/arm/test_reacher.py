@@ -401,6 +401,14 @@ def test_reason_is_named(reason: str, place: dict):
     assert said.startswith(f"{reason}: ") and "button-1" in said
 
 
+@pytest.mark.parametrize("name", ["3 joints", "kuka-iiwa"])
+def test_the_highest_and_lowest_hand_are_those_of_the_whole_lattice(name: str):
+    _, hands = list_hands(ARMS[name], ())
+    high, low = explain(make_room(ARMS[name], z=9.0)), explain(make_room(ARMS[name], z=-9.0))
+    assert high.endswith(f"the hand gets to {hands[:, 2].max():.2f} m")
+    assert low.endswith(f"the hand gets to {hands[:, 2].min():.2f} m")
+
+
 def brute_force(room: RoomInstance, target: int) -> bool:
     """Test whether any configuration touches from any free place of a fine grid at any heading."""
     t, kinematics = room.targets[target], Kinematics(room)
