@@ -10,6 +10,7 @@ import copy
 import itertools
 import math
 import os
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -119,6 +120,11 @@ def parse_urdf(text: str | bytes, where: str) -> ElementTree.Element:
         raise RobotError(f"{where} is not a URDF: no <robot> with links in it")
     if (count := len(root.findall("link"))) > MOST_LINKS:
         raise RobotError(f"{where} has {count:,} links; at most {MOST_LINKS:,} are read")
+    for tag in ("link", "joint"):
+        names = Counter(part.get("name", "") for part in root.findall(tag))
+        for name, times in names.most_common(1):
+            if times > 1:
+                raise RobotError(f"{where} has {times:,} {tag}s named {name[:200]!r}. Give each its own name")
     return root
 
 

@@ -260,8 +260,10 @@ def test_load_urdf_says_what_it_cannot_read(tmp_path: Path):
 @pytest.mark.parametrize(("body", "words"), [
     ("<a>" * 5000 + "</a>" * 5000, "nested more than 100 levels deep"),
     ("<link/>" * 1001, "has 1,001 links; at most 1,000 are read"),
+    ('<link name="a"/><link name="b"/><link name="a"/>', "has 2 links named 'a'"),
+    ('<link name="a"/><joint name="j"/><joint name="j"/>', "has 2 joints named 'j'"),
 ])
-def test_a_urdf_that_libraries_would_call_themselves_too_often_for_is_refused(body: str, words: str, tmp_path: Path):
+def test_a_urdf_that_libraries_cannot_take_is_refused(body: str, words: str, tmp_path: Path):
     text = f'<robot name="r">{body}</robot>'
     (tmp_path / "r.urdf").write_text(text)
     with pytest.raises(RobotError, match=words):
