@@ -25,7 +25,7 @@ LARGEST_URDF = 2**23
 LARGEST_VISUAL = 2**26
 """Bytes of the largest mesh that is drawn, 64 MiB."""
 MOST_LINKS = 1000
-"""Links of the largest URDF; libraries that read it call themselves at every link of a chain."""
+"""Links, and collision shapes, of the largest URDF; libraries that read it call themselves at every link of a chain."""
 PackagePaths: TypeAlias = "Mapping[str, str | Path] | Sequence[str | Path]"
 _SIZES = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",), "capsule": ("radius", "length")}
 _MOST_FOLDERS = 2000  # of a tree that is searched for packages
@@ -118,13 +118,21 @@ def parse_urdf(text: str | bytes, where: str) -> ElementTree.Element:
                          "load that file")
     if root.tag != "robot" or root.find("link") is None:
         raise RobotError(f"{where} is not a URDF: no <robot> with links in it")
-    if (count := len(root.findall("link"))) > MOST_LINKS:
-        raise RobotError(f"{where} has {count:,} links; at most {MOST_LINKS:,} are read")
+    for what, path in (("links", "link"), ("collision shapes", "link/collision")):
+        if (count := len(root.findall(path))) > MOST_LINKS:
+            raise RobotError(f"{where} has {count:,} {what}; at most {MOST_LINKS:,} are read")
     for tag in ("link", "joint"):
         names = Counter(part.get("name", "") for part in root.findall(tag))
         for name, times in names.most_common(1):
             if times > 1:
                 raise RobotError(f"{where} has {times:,} {tag}s named {name[:200]!r}. Give each its own name")
+    above = map_joints(root)
+    for link in above:
+        *_, first = climb(above, link)
+        parent = first.find("parent")
+        if parent is not None and parent.get("link") in above:
+            raise RobotError(f"{where}: no joints lead from the URDF's root link to {link[:200]!r}, because some form "
+                             "a circle")
     return root
 
 

@@ -261,6 +261,8 @@ def test_load_urdf_says_what_it_cannot_read(tmp_path: Path):
     ("<a>" * 5000 + "</a>" * 5000, "nested more than 100 levels deep"),
     ("<link/>" * 1001, "has 1,001 links; at most 1,000 are read"),
     ('<link name="a"/><link name="b"/><link name="a"/>', "has 2 links named 'a'"),
+    ("<link>" + "<collision/>" * 1001 + "</link>", "has 1,001 collision shapes; at most 1,000 are read"),
+    ('<link name="a"/><link name="b"/><joint name="j"><parent link="b"/><child link="b"/></joint>', "to 'b', because"),
     ('<link name="a"/><joint name="j"/><joint name="j"/>', "has 2 joints named 'j'"),
 ])
 def test_a_urdf_that_libraries_cannot_take_is_refused(body: str, words: str, tmp_path: Path):
