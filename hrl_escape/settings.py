@@ -151,7 +151,7 @@ class Range:
         return f"{words} {self.unit}" if self.unit else words
 
 
-Count = Annotated[int, Range(0, 2**53)]
+ExactCount = Annotated[int, Range(0, 2**53)]
 """A number of things, which is exact as a float."""
 
 

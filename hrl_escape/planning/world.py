@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # loads OMPL and Ruckig
 
 MOST_MESH_CELLS = 5_000_000
 """Cells that a mesh may take, of its floor or of its faces."""
-MOST_BOXES = 100_000
+MOST_COLUMNS = 100_000
 """Boxes that the solid cells of a map or a mesh may make."""
 _POSE = "x and y in m, and a heading in rad"
 RIM = 0.1
@@ -272,13 +272,13 @@ def split_triangles(corners: NDArray[np.float64], longest: float) -> NDArray[np.
 def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float, float]) -> list[Solid]:
     """Boxes on the cells of a floor with a corner, m, as high as `heights`, (rows along y, columns along x), m.
 
-    Cells side by side of one height are one box. Raises `ConfigError` for more than `MOST_BOXES`.
+    Cells side by side of one height are one box. Raises `ConfigError` for more than `MOST_COLUMNS`.
     """
     x, y = corner
     merged = ((height, box) for height in np.unique(heights[heights > 0.0]) for box in merge_cells(heights == height))
-    boxes = list(itertools.islice(merged, MOST_BOXES + 1))
-    if len(boxes) > MOST_BOXES:
-        raise ConfigError("boxes", f"more than {MOST_BOXES:,}", f"at most {MOST_BOXES:,} of solid cells side by side. "
+    boxes = list(itertools.islice(merged, MOST_COLUMNS + 1))
+    if len(boxes) > MOST_COLUMNS:
+        raise ConfigError("boxes", f"more than {MOST_COLUMNS:,}", f"at most {MOST_COLUMNS:,} of solid cells side by side. "
                           "Take larger cells, or remove single cells from the map")
     return [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
                   height=float(height)) for height, (a, b, c, d) in boxes]

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 from hrl_escape.errors import ConfigError, EndpointError, EscapeError, MissingExtraError
 from hrl_escape.files import parse_json
-from hrl_escape.settings import Count
+from hrl_escape.settings import ExactCount
 from hrl_escape.text.text_env import ToolCall, Turn
 
 MOST_BYTES, MOST_SAID, LONGEST_WAIT = 4_000_000, 20_000, 60.0
@@ -41,10 +41,10 @@ class Usage:
         retries: requests that failed and were sent again.
     """
 
-    prompt_tokens: Count = 0
-    completion_tokens: Count = 0
-    requests: Count = 0
-    retries: Count = 0
+    prompt_tokens: ExactCount = 0
+    completion_tokens: ExactCount = 0
+    requests: ExactCount = 0
+    retries: ExactCount = 0
 
     def add(self, other: Usage) -> Usage:
         """Return the sum."""

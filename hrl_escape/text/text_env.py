@@ -31,7 +31,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import compute_expected_escape, find_best_known
 from hrl_escape.planning.goals import find_new_name, make_goal, name_goal
 from hrl_escape.planning.symbolic.pddl import clean_name, export_pddl
-from hrl_escape.settings import Count
+from hrl_escape.settings import ExactCount
 from hrl_escape.step_info import read_action
 from hrl_escape.text.coercion import normalise_call
 from hrl_escape.text.words import clean, list_option_names, place, tell_changes, tell_room
@@ -88,10 +88,10 @@ class Score:
     reward: float
     escaped: bool
     efficiency: float
-    decisions: Count
-    primitives: Count
-    invalid_calls: Count
-    characters: Count
+    decisions: ExactCount
+    primitives: ExactCount
+    invalid_calls: ExactCount
+    characters: ExactCount
 
 
 def tell_score(score: Score) -> str:
