@@ -278,8 +278,8 @@ def make_columns(heights: NDArray[np.float64], cell: float, corner: tuple[float,
     merged = ((height, box) for height in np.unique(heights[heights > 0.0]) for box in merge_cells(heights == height))
     boxes = list(itertools.islice(merged, MOST_COLUMNS + 1))
     if len(boxes) > MOST_COLUMNS:
-        raise ConfigError("boxes", f"more than {MOST_COLUMNS:,}", f"at most {MOST_COLUMNS:,} of solid cells side by side. "
-                          "Take larger cells, or remove single cells from the map")
+        raise ConfigError("boxes", f"more than {MOST_COLUMNS:,}", f"at most {MOST_COLUMNS:,} of solid cells side by "
+                          "side. Take larger cells, or remove single cells from the map")
     return [Solid("box", x + cell * (a + b) / 2, y + cell * (c + d) / 2, cell * (b - a) / 2, cell * (d - c) / 2,
                   height=float(height)) for height, (a, b, c, d) in boxes]
 
