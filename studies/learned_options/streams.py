@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from hrl_escape.agents.agent import set_option_discount
+from hrl_escape.agents.components.arrays import draw_rows
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.option_networks import OptionRolloutAgent
-from hrl_escape.agents.components.policy_gradient import sample_policy, take_column
+from hrl_escape.agents.components.policy_gradient import take_column
 from hrl_escape.agents.many_envs import EndedDecisions
 from hrl_escape.agents.state import StateTree
 
@@ -159,7 +160,7 @@ class OptionEnvs(_Around):
         with torch.no_grad():
             seen = self._encoder.encode_many(self.observation)
             log_policy = self._heads.compute_log_policies(seen, option, self._envs.action_mask)
-            done = self._envs.step(sample_policy(log_policy, self._generator))
+            done = self._envs.step(draw_rows(log_policy.exp(), self._generator))
             betas = take_column(self._heads.compute_betas(self._encoder.encode_many(done.next_observation)), option)
         reward = torch.where(done.where, done.reward, 0.0)
         self._sums += torch.stack((reward, reward * self.gamma ** self._duration.float()))
