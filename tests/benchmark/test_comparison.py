@@ -74,6 +74,15 @@ def test_every_run_has_a_result_with_the_evaluations_that_were_asked_for(finishe
         assert (run.agent.chooses_options and result.planner_calls > 0) or result.decisions == result.primitives
 
 
+def test_the_regret_without_training_is_that_of_the_evaluated_episodes(tmp_path: Path):
+    grid = change(agents=("search-random",), runs=1, eval_episodes=4)
+    result = run_quietly(grid, tmp_path).runs[0][1]
+    final = result.evaluations[-1]
+    assert result.escapes is None and any(final.escaped)
+    useful = sum(best for best, escaped in zip(result.score_range.fewest, final.escaped, strict=True) if escaped)
+    assert result.regret == pytest.approx(1 - useful / sum(final.lengths)) and 0 < result.regret < 1
+
+
 def test_the_recorded_episodes_are_those_of_the_last_evaluation(finished: Comparison):
     """Evaluated twice, in two environments, with the same outcome."""
     for run, result in finished.runs:
