@@ -66,9 +66,11 @@ def test_recorded_games_are_played_again_with_the_new_names(tmp_path: Path):
     assert (tmp_path / "new.jsonl").read_bytes() == (tmp_path / "now.jsonl").read_bytes()
 
 
-def test_a_game_that_goes_otherwise_is_not_converted(tmp_path: Path):
-    write_old_games(tmp_path / "now.jsonl", primitives=1)
-    with pytest.raises(VerificationError, match="'pair.*' has another primitives when it is played again: .*, not 1"):
+@pytest.mark.parametrize("primitives", [1, 900])
+def test_a_game_that_goes_otherwise_is_not_converted(primitives: int, tmp_path: Path):
+    write_old_games(tmp_path / "now.jsonl", primitives=primitives)
+    differs = f"'pair.*' has another primitives when it is played again: .*, not {primitives}"
+    with pytest.raises(VerificationError, match=differs):
         convert_data(tmp_path / "old.jsonl", tmp_path / "new.jsonl")
 
 

@@ -134,7 +134,11 @@ def test_minari_keeps_play_makes_its_environment_again_and_gives_it_back(folder)
     with pytest.raises(ConfigError, match="0.9"):
         back.read_decisions(0.99)
     flat = from_minari("mine/door-key-primitives-v1")
-    np.testing.assert_array_equal(flat.read_primitives().reward, data.primitives.reward)
+    for field, was, now in zip(data.primitives._fields, data.primitives, flat.read_primitives(), strict=True):
+        np.testing.assert_array_equal(now, was, err_msg=field)
+    for kept in (primitives, decisions):
+        ends = [(bool(episode.terminations[-1]), bool(episode.truncations[-1])) for episode in kept]
+        assert ends == [(True, False), (True, False), (False, True)] and not kept[0].truncations.any()
     with pytest.raises(ConfigError, match="minari list local"):
         from_minari("mine/other-v1")
 
