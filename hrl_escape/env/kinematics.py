@@ -559,6 +559,8 @@ def check_fields(rules: Rules, state: RoomState) -> None:
     _check_number("z", state.z, -1.0, top)
     _check_number("pitch", state.pitch, -math.pi, math.pi)
     _check_number("roll", state.roll, -math.pi, math.pi)
+    if soft and state.physics is not None:
+        _check_props(len(instance.props), state.physics)
     if not instance.puzzle.is_state(state.puzzle):
         raise StateError(f"puzzle = {show_value(state.puzzle)} is not possible: a state of this room's "
                          f"{instance.puzzle.kind} puzzle")
@@ -573,6 +575,17 @@ def _check_number(name: str, value: Any, low: float, high: float) -> None:
 def _check_whole(name: str, value: Any, count: int) -> None:
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not 0 <= int(value) < count:
         raise StateError(f"{name} = {show_value(value)} is not possible: a whole number from 0 to {count - 1}")
+
+
+def _check_props(count: int, physics: Any) -> None:
+    """Check the part of a state under physics that planners read; the engine checks all of it."""
+    try:
+        poses = [tuple(map(float, numbers[:7])) for numbers in physics.props]
+    except (AttributeError, TypeError, ValueError, OverflowError):
+        poses = []
+    if len(poses) != count or not all(len(pose) == 7 and all(map(math.isfinite, pose)) for pose in poses):
+        raise StateError(f"physics = {show_value(physics)} is not possible: None, or the saved physics of a state of "
+                         f"this room, with position and orientation of {count} props")
 
 
 def _check_joints(rules: Rules, state: RoomState, slack: float) -> None:

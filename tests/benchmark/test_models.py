@@ -98,6 +98,7 @@ def test_budgets_stop_games_and_the_same_call_resumes(tmp_path: Path):
                 evaluate_model(connect(endpoint.url), rooms=3, out=tmp_path)
         late = evaluate_model(connect(endpoint.url), rooms=1, budget=Budget(seconds=0.0))
         assert late.unfinished == {0: "the time limit is reached"} and not late.games
+    assert not Budget(seconds=0.9).find_reason()
     for wrong in ({"tokens": -1}, {"seconds": math.nan}, {"dollars": 1.0}, {"prices": (-1.0, 1.0)},
                   {"prices": (1.0, math.inf)}):
         with pytest.raises(ConfigError):

@@ -14,6 +14,7 @@ from hrl_escape.env.kinematics import Kinematics, check_state
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError
+from hrl_escape.planning.planner import RoomPlanner
 from tests.covering import thin
 from tests.env.rooms import all_configs
 
@@ -94,6 +95,15 @@ def test_every_state_that_physics_reaches_passes_and_parts_of_another_room_do_no
         with pytest.raises(StateError, match="physics"):
             env.set_state(state._replace(physics=physics))
     env.close()
+
+
+@pytest.mark.parametrize("physics", [5, (), "props"])
+def test_planners_refuse_a_saved_physics_that_is_none(physics):
+    planner = RoomPlanner(generate(PRESETS["push-block"](), 0))
+    state = planner.rules.make_state(planner.instance.starts[0])
+    assert planner.order_goals(state)
+    with pytest.raises(StateError, match="physics"):
+        planner.order_goals(state._replace(physics=physics))
 
 
 def test_the_batched_engine_refuses_the_same_states():

@@ -117,7 +117,7 @@ def test_planning_is_reported_by_an_attribute_and_not_in_infos():
 
 @pytest.mark.parametrize("kind", [SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=pytest.mark.nightly)])
 def test_a_vector_environment_gives_the_reports_of_its_environments_in_other_processes_too(kind):
-    rooms = kind([lambda: gymnasium.make(TWO)] * 2)
+    rooms = kind([lambda: gymnasium.make(f"hrl_escape:{TWO}")] * 2)  # torchrl makes Python spawn new processes
     try:
         rooms.reset(seed=0)
         rooms.step(np.array([0, 6]))

@@ -116,7 +116,7 @@ def test_a_call_in_any_form_costs_its_primitives_alone(name: str, arguments: Any
 
 
 @pytest.mark.parametrize(("sent", "code"), [
-    (b"{", -32700), (b'{"id": 1e999, "method": "ping"}', -32600), (b"\xff", -32700), (b"[" * 100_000, -32700),
+    (b"{", -32700), (b'{"id": 1e999, "method": "ping"}', -32700), (b"\xff", -32700), (b"[" * 100_000, -32700),
     ([], -32600), ({"id": 1}, -32600), ({"id": None, "method": "ping"}, -32600),
     ({"id": 7, "method": "server/discover"}, -32601), ({"id": 7, "method": "x" * 10_000}, -32601),
     ({"id": 7, "method": "tools/call"}, -32602), ({"id": 7, "method": "tools/call", "params": {"name": 3}}, -32602)])

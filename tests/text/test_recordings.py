@@ -94,6 +94,14 @@ def test_a_game_with_a_value_that_no_game_has_is_refused(line: int, change: Any,
         load_games(tmp_path / "bad.jsonl")
 
 
+def test_a_game_keeps_the_arguments_of_its_environment(tmp_path: Path):
+    session = make_session(get_room("pair"), discount=0.5)
+    session.call("look")
+    save_games(tmp_path / "games.jsonl", [record_game(session)])
+    assert load_games(tmp_path / "games.jsonl")[0].options == {"discount": 0.5}
+    verify_games(tmp_path / "games.jsonl")
+
+
 @pytest.mark.nightly
 def test_a_file_cut_in_the_middle_is_refused(file: Path, tmp_path: Path):
     lines = file.read_text().splitlines()
