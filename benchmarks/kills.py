@@ -134,7 +134,7 @@ def read_data(folder: Path) -> Any:
 LOGS = "runs/*/training/log.jsonl"
 WORK = {"compare": Work(compare, read_compare, LOGS, ("forkserver",)),
         "train": Work(learn, read_train, "checkpoint.npz"),
-        "study": Work(study, read_study, f"runs/*/{LOGS}", ("forkserver",)),
+        "study": Work(study, read_study, f"runs/*/*/{LOGS}", ("forkserver",)),
         "ladder": Work(climb, read_ladder, f"per-instance/*/{LOGS}", ("forkserver",)),
         "data": Work(make_data, read_data, "*.npz"),
         "ray": Work(compare_on_ray, read_compare, LOGS, ("_run_guarded", "raylet/raylet"))}
@@ -258,6 +258,8 @@ def survive(name: str, kills: int, seed: int, folder: Path) -> bool:
     work, alone, rng, numbers = WORK[name], folder / f"{name}-alone", np.random.default_rng(seed), itertools.count()
     print(f"{name}: left alone {run_to_end(work.run, alone):.0f} s", flush=True)
     wanted, met, is_same = work.read(alone), 0, True
+    if not wanted or not list(alone.glob(work.signs)):
+        sys.exit(f"{name} left no results, or no signs of progress as {work.signs}")
     for attempt in itertools.count(1):
         killed = folder / f"{name}-killed-{attempt}"
         for victim in itertools.islice(kill_in_turn(work, killed, numbers, rng), kills - met):

@@ -80,6 +80,7 @@ def test_a_grid_of_version_0_3_is_refused_and_keeps_its_agents_once_converted(tm
             load_grid(OLD / name)
         convert_file(OLD / name, tmp_path / name)
     assert (tmp_path / "grid.toml").read_text().startswith("# Does gamma matter?\nformat = 2\n")
+    assert '\n    "dqn@patient",\n' in (tmp_path / "grid.toml").read_text(), "each agent has a line"
     grid = load_grid(tmp_path / "grid.toml")
     assert (grid.primitives, grid.runs) == (500, 3)
     assert [room.label for room in grid.rooms] == ["clutter#2", "larg-2019(size=3)"]
