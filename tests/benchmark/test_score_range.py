@@ -73,6 +73,11 @@ def test_options_alone_reach_what_their_best_sequence_earns(tmp_path):
     assert score_range.fewest_reachable == (room.reward.exit - max(earned),) > score_range.fewest
     both = compute_score_range([(room, recorder.states[0])], AgentSpec.parse("smdp-dqn+primitives"), tmp_path)
     assert both.reachable == both.best == score_range.best
+    noisy = dataclasses.replace(room, dynamics=dataclasses.replace(room.dynamics, noise=0.1))
+    expected = compute_score_range([(noisy, recorder.states[0])], only, tmp_path)
+    assert expected.is_expected and expected.best[0] < score_range.best[0]
+    gap = score_range.best[0] - score_range.reachable[0]
+    assert expected.best[0] - expected.reachable[0] == pytest.approx(gap), "the gap is that without noise"
 
 
 def test_a_puzzle_that_planners_cannot_do_is_measured_by_an_escape_at_once(tmp_path):
