@@ -78,7 +78,8 @@ def test_the_regret_without_training_is_that_of_the_evaluated_episodes(tmp_path:
     grid = change(agents=("search-random",), runs=1, eval_episodes=4)
     result = run_quietly(grid, tmp_path).runs[0][1]
     final = result.evaluations[-1]
-    assert result.escapes is None and any(final.escaped)
+    assert result.escapes is None and sum(final.escaped) > 1
+    assert result.first_escape == sum(final.lengths[: list(final.escaped).index(True) + 1])
     useful = sum(best for best, escaped in zip(result.score_range.fewest, final.escaped, strict=True) if escaped)
     assert result.regret == pytest.approx(1 - useful / sum(final.lengths)) and 0 < result.regret < 1
 
