@@ -32,7 +32,7 @@ demo: $(STAMP) ## compare six agents in a room with four buttons; ends with a li
 watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cluttered room; Ctrl-C ends
 	$(WATCH)
 
-test: $(STAMP) ## the fast tests, five to six minutes on two idle cores
+test: $(STAMP) ## the fast tests, four minutes on two idle cores
 	python -m pytest tests -n $(JOBS) --dist worksteal -m "not (nightly or gpu)"
 
 test-nightly: $(STAMP) ## all others, planted bugs among them, about an hour; a tenth of them: make test-nightly SHARD=1/10

@@ -82,6 +82,8 @@ REVIEWED = {
     "commands/list.py::_parse_agent": "modules of the package",
     "commands/compare.py::run": "a page that was just written, in the browser",
     "commands/play.py::announce": "an address on this machine, in the browser",
+    "commands/mcp.py::_wire": "standard input and output",
+    "kernels.py::_copy_whole": "kernels of this installation",
     "kernels.py::hash_code": "modules of the package",
     "templates.py::render_template": "templates of the package",
     "benchmark/cost.py::load_rates": "a table of the package",
