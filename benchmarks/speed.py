@@ -51,13 +51,13 @@ def measure_first_use(quick: bool) -> list[dict[str, Any]]:
 
     A cache of one's own begins empty. One of an installation after `hrl-escape warm` begins with its kernels.
     """
-    from hrl_escape.kernels import INSTALLED
+    from hrl_escape.kernels import INSTALLED, find_cache_folder
 
     own = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     rows, cold = [], 0.0
     with tempfile.TemporaryDirectory() as cache, tempfile.TemporaryDirectory() as new:
         caches = {"empty cache": {"NUMBA_CACHE_DIR": cache}, "filled cache": {"NUMBA_CACHE_DIR": cache}}
-        if INSTALLED.is_dir():
+        if (INSTALLED / find_cache_folder().name).is_dir():
             caches["new cache after `hrl-escape warm`"] = {"XDG_CACHE_HOME": new}
         for name, variables in caches.items():
             before, began = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
