@@ -318,9 +318,11 @@ class Kinematics(Rules):
         self._slips = tuple(list_slips(dynamics.slip_kind, self.actions, action) for action in range(len(self.actions)))
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
+        doors = () if self._door is None else (self._door,)
         self._span = self.actions.longest * (2.0 if self._noise else 1.0)
         reach = self._radius + 0.75 * self._span  # from the middle of a step
         self._near_solids = NearCells(self.footprints, ((shape, reach) for shape in self.footprints), 0.5)
+        self._near_door = NearCells(doors, ((door, reach) for door in doors), 0.5)
         self._is_grid = self._stays and self._base.turns_anywhere
         self._free: dict[tuple[float, float, float, float], float] = {}
         self._primitives = self.actions.primitives
@@ -441,7 +443,11 @@ class Kinematics(Rules):
             fraction = self._find_free_fraction(x, y, dx, dy, rotation)
         if self._door is None and self.inner_doors is None:
             return fraction
-        shut = self._list_shut(x, y, puzzle, rotation, abs(dx) + abs(dy) <= 1.5 * self._span)
+        is_step = abs(dx) + abs(dy) <= 1.5 * self._span
+        if self.inner_doors is None and is_step and not (
+                self._near_door[math.floor(2.0 * x + dx), math.floor(2.0 * y + dy)]):
+            return fraction
+        shut = self._list_shut(x, y, puzzle, rotation, is_step)
         return min(fraction, self._base.find_free_fraction(x, y, rotation, dx, dy, shut)) if shut else fraction
 
     def _find_free_fraction(self, x: float, y: float, dx: float, dy: float, rotation: tuple[float, float]) -> float:
