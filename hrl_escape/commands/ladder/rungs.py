@@ -92,8 +92,8 @@ class ShowArgs:
 
     rung: Annotated[str, tyro.conf.Positional]
     """Name of the rung, with another benchmark in front: cues-1@7/colours."""
-    benchmark: str = "ladder-1"
-    """Benchmark that comes with the package, or a manifest file."""
+    benchmark: str | None = None
+    """Benchmark that comes with the package, or a manifest file; ladder-1 by default."""
     role: Role = "train"
     """Set of the room to draw or save."""
     index: int = 0
@@ -117,7 +117,7 @@ def run_show(args: ShowArgs) -> None:
     benchmark, _, name = args.rung.rpartition("/")
     if benchmark:
         refuse_options(args, ("benchmark",), f"does not go with {args.rung}, which names its benchmark")
-    rung = load_benchmark(benchmark or args.benchmark)[name]
+    rung = load_benchmark(benchmark or args.benchmark or "ladder-1")[name]
     report = _describe(rung)
     if args.draw or args.save:
         report["files"] = _write_room(rung, args)
