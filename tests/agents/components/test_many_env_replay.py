@@ -175,7 +175,7 @@ def test_ddpg_prefers_the_best_action_of_every_state_in_many_environments_at_onc
         return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
 
     many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
-    agent = train("ddpg", many, primitives=8_000, eval_env=make(), eval_episodes=0, settings={
+    agent = train("ddpg", many, primitives=16_000, eval_env=make(), eval_episodes=0, settings={
         "gamma": 0.9, "hidden": (32,), "learning_rate": 3e-3, "reward_scale": 1.0, "warmup": 100, "batch_size": 32,
         "epsilon_end": 0.5, "actor_warmup": 500, "target_rate": 0.02, "entropy_weight": 0.02}).agent
     exact = solve(CHAIN, 0.9)
