@@ -20,8 +20,8 @@ from studies.tables import format_interval, format_short, make_table
 __all__ = ["SHOWN", "draw_curves", "draw_escapes", "tabulate_cells", "tabulate_gains", "tabulate_missing",
            "tabulate_rates", "tabulate_trials"]
 
-SHOWN = ("ppo", "dqn", "dac", "a2oc", "ppo, planned options")
-"""Agents shown in the figures."""
+SHOWN = ("ppo", "dqn, novelty", "dac", "ppoc", "a2oc")
+"""Agents shown in the figures: PPO, the best flat agent of the first comparisons, and all that learn options."""
 
 
 def tabulate_cells(sizes: Mapping[int, Cells], learners: Mapping[str, Learner], least: int) -> str:

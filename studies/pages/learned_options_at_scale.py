@@ -9,10 +9,28 @@ from studies.publishing import Rules
 STUDIES = ("learned-options",)
 
 
-def is_open(numbers: Any) -> bool:
-    """No registered comparison has all of its rooms, in any stage."""
+FIRST_SIZE = 2
+"""Buttons of the rooms whose comparisons are complete in the first stage."""
+
+
+def do_options_not_pay(numbers: Any) -> bool:
+    """In the first stage two buttons are compared alone: PPOC and A2OC cost, DAC's answer is open."""
     study = numbers.learned_options
-    return not any(gains for stage in (study.first, study.second) for gains in (stage.gains, stage.fresh_gains))
+    answers = {key: gain.verdict for key, gain in study.first.gains.items()}
+    return answers == {(FIRST_SIZE, "dac"): "open", (FIRST_SIZE, "ppoc"): "costs", (FIRST_SIZE, "a2oc"): "costs"} and all(
+        gain.flat == "dqn, novelty" for gain in study.first.gains.values())
+
+
+def is_rest_open(numbers: Any) -> bool:
+    """No comparison in fresh rooms or in the second stage has all of its rooms."""
+    study = numbers.learned_options
+    return not any((study.first.fresh_gains, study.second.gains, study.second.fresh_gains))
+
+
+def is_credit_slower(numbers: Any) -> bool:
+    """PPOC and A2OC take longer from the first escape to the learned room than the best flat agent."""
+    gains = numbers.learned_options.first.gains
+    return all(gains[FIRST_SIZE, label].credit.low > 1.0 for label in ("ppoc", "a2oc"))
 
 
 def is_second_missing(numbers: Any) -> bool:
@@ -38,8 +56,9 @@ SHORT = ("ppo, planned options",)
 """Learners whose runs are the same in both stages."""
 
 RULES: Rules = {
-    "no-verdict": is_open,
-    "wait": is_open,
+    "no-gain": do_options_not_pay,
+    "wait": is_rest_open,
+    "credit": is_credit_slower,
     "no-second-stage": is_second_missing,
     "no-transfer": is_unseen_missing,
     "ppo-two-buttons": does_ppo_escape,
