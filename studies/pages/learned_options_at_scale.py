@@ -14,11 +14,10 @@ FIRST_SIZE = 2
 
 
 def do_options_not_pay(numbers: Any) -> bool:
-    """In the first stage two buttons are compared alone: PPOC and A2OC cost, DAC's answer is open."""
-    study = numbers.learned_options
-    answers = {key: gain.verdict for key, gain in study.first.gains.items()}
-    return answers == {(FIRST_SIZE, "dac"): "open", (FIRST_SIZE, "ppoc"): "costs", (FIRST_SIZE, "a2oc"): "costs"} and all(
-        gain.flat == "dqn, novelty" for gain in study.first.gains.values())
+    """In the first stage two buttons alone are compared, with DQN with novelty: PPOC and A2OC cost, DAC is open."""
+    answers = {key: (gain.flat, gain.verdict) for key, gain in numbers.learned_options.first.gains.items()}
+    return answers == {(FIRST_SIZE, label): ("dqn, novelty", verdict)
+                       for label, verdict in (("dac", "open"), ("ppoc", "costs"), ("a2oc", "costs"))}
 
 
 def is_rest_open(numbers: Any) -> bool:

@@ -86,11 +86,13 @@ def test_a_learner_of_options_pays_only_with_ten_rooms_and_a_gain():
     assert not number(some | {"dac": 0.8}).first.gains, "the best flat learner is not known without all of them"
 
 
-def test_claims_break_when_the_runs_that_they_call_missing_are_made():
-    page, few = load_page("learned-options-at-scale"), make_lines(FLAT)
+def test_claims_break_when_runs_disagree_or_those_that_they_call_missing_are_made():
+    page = load_page("learned-options-at-scale")
+    few = make_lines({**dict.fromkeys(FLAT, 0.3), "dqn, novelty": 0.7, "dac": 0.7, "ppoc": 0.2, "a2oc": 0.2})
     text, figures = render_page(page, {"learned-options": analyse(STUDY, few)})
-    assert "50 of 1,310 registered runs" in text and figures == ["learned-options", "learned-options-escapes"]
-    more = {"no-verdict": make_lines({"dac": 0.8}),
+    assert "80 of 1,310 registered runs" in text and figures == ["learned-options", "learned-options-escapes"]
+    fresh = [dataclasses.replace(line, seed=line.seed + 1_000) for line in few if line.part == "one room"]
+    more = {"no-gain": make_lines({"dac": 0.9}), "credit": make_lines({"ppoc": 0.6}), "wait": fresh,
             "no-second-stage": [dataclasses.replace(few[-1], budget=10_000_000)],
             "ppo-two-buttons": [dataclasses.replace(few[-1], agent="ppo", seed=5_000, first_escape=None)],
             "no-transfer": [dataclasses.replace(few[-1], agent="ppo, reused options", part="unseen rooms")]}
