@@ -91,6 +91,7 @@ def _wire() -> Iterator[tuple[BinaryIO, BinaryIO]]:
         with open(0, "rb", closefd=False) as reading, open(own, "wb", closefd=False) as writing:
             yield reading, writing
     finally:
+        sys.stdout.flush()
         os.dup2(own, 1)
         os.close(own)
 
