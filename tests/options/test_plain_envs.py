@@ -345,7 +345,7 @@ class Counting(FunctionOption):
     (go(start=lambda cell: False), "it starts somewhere"),
     (FunctionOption("x", lambda cell: go(start=lambda cell: False), lambda cell: 1.0), "entered where it may start"),
     (FunctionOption("x", lambda cell, rng: np.random.default_rng().choice([EAST, WEST]), lambda cell: 0.02,
-                    is_stochastic=True), "the same run"),
+                    is_stochastic=True), "the same run|does not change another one"),  # which is found is chance
 ])
 def test_the_check_finds_what_is_broken(option, claim):
     with pytest.raises(ContractError, match=claim):
