@@ -151,10 +151,10 @@ class _KernelCache(FunctionCache):
 
 
 def _compile(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    compiled = numba.njit(**options)(function)
     before = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
-    try:  # only the decorator reads both
+    try:  # only a new cache reads both
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(_FOLDER), f"{__name__}.{SourceLocator.__name__}"
-        compiled = numba.njit(**options)(function)
         vars(compiled)["_cache"] = _KernelCache(function)
     finally:
         _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = before
@@ -201,12 +201,12 @@ def make_cache_folder(name: str) -> Path:
 
 
 def keep_in_installation() -> bool:
-    """Copy all compiled kernels into the virtual environment, where every new cache finds them; False outside one."""
-    if sys.prefix == sys.base_prefix or not os.access(sys.prefix, os.W_OK):
+    """Copy all kernels into the virtual environment, with which every new cache begins; return whether it worked."""
+    if sys.prefix == sys.base_prefix:
         return False
     shutil.rmtree(INSTALLED, ignore_errors=True)
     _copy_whole(_FOLDER, INSTALLED / _FOLDER.name)
-    return True
+    return (INSTALLED / _FOLDER.name).is_dir()
 
 
 def _begin_cache(folder: Path) -> None:
@@ -216,10 +216,11 @@ def _begin_cache(folder: Path) -> None:
 
 
 def _copy_whole(source: Path, target: Path) -> None:
-    """Copy a folder unless another process does it at once and is first; nobody ever sees a part of it."""
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as scratch, contextlib.suppress(OSError):
-        shutil.copytree(source, Path(scratch, "copy")).rename(target)
+    """Copy a folder, if that is possible and no other process is first. No reader ever sees a part of it."""
+    with contextlib.suppress(OSError):  # no space, or no right to write there
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent) as scratch:
+            shutil.copytree(source, Path(scratch, "copy")).rename(target)
 
 
 def strip_prose(source: bytes) -> bytes:

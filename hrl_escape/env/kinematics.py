@@ -11,15 +11,17 @@ import math
 import numbers
 from collections.abc import Hashable
 from enum import Enum
+from functools import partial
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, NearCells, compute_distance
 from hrl_escape.env.instance import RoomInstance, Start, is_on_floor
+from hrl_escape.env.kept import Kept
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
 from hrl_escape.env.primitives import list_slips
-from hrl_escape.env.puzzles.base import PUSH, Contacts
+from hrl_escape.env.puzzles.base import PUSH, Contacts, Puzzle
 from hrl_escape.env.puzzles.mixins import Barring, Pushing, get_mixin
 from hrl_escape.env.rewards import Events, RewardState
 from hrl_escape.errors import StateError, show_value
@@ -100,23 +102,17 @@ class InnerDoors:
     def __init__(self, instance: RoomInstance) -> None:
         self.footprints = tuple(door.footprint for door in instance.inner_doors)
         self._puzzle, self._radius = instance.puzzle, instance.robot.outer_radius + CONTACT_SKIN
-        actions = instance.robot.actions
-        self._stride, self._span = actions.stride, actions.longest * (2.0 if instance.dynamics.noise else 1.0)
-        self._shut: dict[Hashable, int] = {}
-        self._shut_near: dict[tuple[int, int, int], tuple[Footprint, ...]] = {}
-        reach = self._radius + 1.5 * self._span
+        self._stride = instance.robot.actions.stride
+        self._shut = Kept(get_mixin(instance.puzzle, Barring).get_shut)
+        reach = self._radius + 1.5 * instance.robot.actions.longest * (2.0 if instance.dynamics.noise else 1.0)
         self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
+        self._shut_near = Kept(partial(_list_shut, self._near))
         self._at = NearCells(enumerate(self.footprints), ((door, 0.0) for door in self.footprints), 0.25)
         self._pushes = isinstance(instance.puzzle, Pushing)
 
     def get_shut(self, puzzle: Hashable) -> int:
         """Return the bits of the shut doors in a state of the puzzle; cached."""
-        shut = self._shut.get(puzzle)
-        if shut is None:
-            if len(self._shut) > 4096:
-                self._shut.clear()
-            shut = self._shut[puzzle] = get_mixin(self._puzzle, Barring).get_shut(puzzle)
-        return shut
+        return self._shut[puzzle]
 
     def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:
         """Return the bits of the shut doors, without doors that the body overlaps."""
@@ -131,12 +127,7 @@ class InnerDoors:
         if not is_step:
             shut = self.find_blocking(x, y, puzzle)
             return tuple(door for number, door in enumerate(self.footprints) if shut >> number & 1)
-        key = math.floor(x), math.floor(y), self.get_shut(puzzle)
-        near = self._shut_near.get(key)
-        if near is None:
-            if len(self._shut_near) > 4096:
-                self._shut_near.clear()
-            near = self._shut_near[key] = tuple(door for n, door in self._near[key[:2]] if key[2] >> n & 1)
+        near = self._shut_near[math.floor(x), math.floor(y), self.get_shut(puzzle)]
         least = self._radius - 1e-6
         return tuple([door for door in near if compute_distance(x, y, door) >= least]) if near else ()
 
@@ -160,6 +151,16 @@ class InnerDoors:
         return -1
 
 
+def _list_shut(doors: NearCells[tuple[int, Footprint]], key: tuple[int, int, int]) -> tuple[Footprint, ...]:
+    """Outlines of the doors near a cell of the floor whose bits are set: x and y of the cell, and the bits."""
+    return tuple(door for number, door in doors[key[:2]] if key[2] >> number & 1)
+
+
+def _compute_lit(puzzle: Puzzle, state: Hashable) -> int:
+    """Bits of the targets that are on in a state of the puzzle."""
+    return sum(1 << i for i, is_on in enumerate(puzzle.get_lit(state)) if is_on)
+
+
 class Rules(RobotPoses):
     """Rules that all dynamics share: touching, presses, the puzzle, reward, exit and horizon.
 
@@ -181,8 +182,8 @@ class Rules(RobotPoses):
         self._reward = instance.reward
         self._step_reward, self._exit_reward = instance.reward.step, instance.reward.on_exit
         self._pays_extra = not instance.reward.is_sparse
-        self._lights: dict[Hashable, int] = {}
-        self._solved: dict[Hashable, bool] = {}
+        self._lights = Kept(partial(_compute_lit, instance.puzzle))
+        self._solved = Kept(instance.puzzle.is_solved)
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
         entries = [(i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets)]
@@ -268,24 +269,15 @@ class Rules(RobotPoses):
         """Events of a primitive that changed the puzzle from one state to another."""
         if after == before:
             return Events(pressed, 0, 0, 0, 0, escaped, failed)
-        was_lit, is_lit = self._get_lit(before), self._get_lit(after)
+        was_lit, is_lit = self._lights[before], self._lights[after]
         was_shut, is_shut = ((self.inner_doors.get_shut(before), self.inner_doors.get_shut(after))
                              if self.inner_doors else (0, 0))
         return Events(pressed, is_lit & ~was_lit, was_lit & ~is_lit, was_shut & ~is_shut, is_shut & ~was_shut,
                       escaped, failed)
 
-    def _get_lit(self, puzzle: Hashable) -> int:
-        """Bits of the targets that are on in a state of the puzzle; cached."""
-        lit = self._lights.get(puzzle)
-        if lit is None:
-            if len(self._lights) > 4096:
-                self._lights.clear()
-            lit = self._lights[puzzle] = sum(1 << i for i, is_on in enumerate(self._puzzle.get_lit(puzzle)) if is_on)
-        return lit
-
     def _show(self, state: RoomState) -> RewardState:
         return RewardState(state.x, state.y, state.heading_steps,
-                           self._get_lit(state.puzzle).bit_count() / max(1, len(self.instance.targets)),
+                           self._lights[state.puzzle].bit_count() / max(1, len(self.instance.targets)),
                            self.is_solved(state.puzzle))
 
     def has_escaped(self, state: RoomState) -> bool:
@@ -294,12 +286,7 @@ class Rules(RobotPoses):
 
     def is_solved(self, puzzle: Hashable) -> bool:
         """Return whether the exit is open in a state of the puzzle; cached."""
-        solved = self._solved.get(puzzle)
-        if solved is None:
-            if len(self._solved) > 4096:
-                self._solved.clear()
-            solved = self._solved[puzzle] = self._puzzle.is_solved(puzzle)
-        return solved
+        return self._solved[puzzle]
 
 
 class Kinematics(Rules):
@@ -438,26 +425,17 @@ class Kinematics(Rules):
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
         """Return the fraction, in [0, 1], of a displacement that keeps the body's clearance at this rotation."""
+        is_step, middle = abs(dx) + abs(dy) <= 1.5 * self._span, (math.floor(2.0 * x + dx), math.floor(2.0 * y + dy))
         fraction = self._free.get((x, y, dx, dy))
         if fraction is None:
-            fraction = self._find_free_fraction(x, y, dx, dy, rotation)
-        if self._door is None and self.inner_doors is None:
-            return fraction
-        is_step = abs(dx) + abs(dy) <= 1.5 * self._span
-        if self.inner_doors is None and is_step and not (
-                self._near_door[math.floor(2.0 * x + dx), math.floor(2.0 * y + dy)]):
+            near = self._near_solids[middle] if is_step else self.footprints
+            fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
+            if self._is_grid and len(self._free) < 4096:  # elsewhere places rarely repeat
+                self._free[x, y, dx, dy] = fraction
+        if self.inner_doors is None and (self._door is None or (is_step and not self._near_door[middle])):
             return fraction
         shut = self._list_shut(x, y, puzzle, rotation, is_step)
         return min(fraction, self._base.find_free_fraction(x, y, rotation, dx, dy, shut)) if shut else fraction
-
-    def _find_free_fraction(self, x: float, y: float, dx: float, dy: float, rotation: tuple[float, float]) -> float:
-        """Fraction of a displacement before the first contact with a solid; kept where a room is a grid of places."""
-        is_step = abs(dx) + abs(dy) <= 1.5 * self._span
-        near = self._near_solids[math.floor(2.0 * x + dx), math.floor(2.0 * y + dy)] if is_step else self.footprints
-        fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
-        if self._is_grid and len(self._free) < 4096:
-            self._free[x, y, dx, dy] = fraction
-        return fraction
 
     def can_turn(self, state: RoomState, to: tuple[float, float], turn: float) -> bool:
         """Return whether the base can turn on the spot by an angle in rad to a rotation."""

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.robot import make_robot
+from hrl_escape.env.kept import Kept
+from hrl_escape.env.robot import Robot, make_robot
 
 
 class RoomState(NamedTuple):
@@ -66,6 +68,11 @@ def get_planar_pose(numbers: Sequence[float]) -> tuple[float, float, float]:
     return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
 
 
+def _compute_hand(robot: Robot, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...] = ()
+                  ) -> tuple[float, float, float]:
+    return tuple(robot.compute_hand(robot.compute_angles(joint_steps, joint_offsets)).tolist())
+
+
 class RobotPoses:
     """Headings, joint angles and hand positions of one robot, cached for whole steps.
 
@@ -84,8 +91,8 @@ class RobotPoses:
         self.symmetry = robot.symmetry
         self._angles = tuple(self.compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
         self.rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
-        self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
-        self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
+        self._hands = Kept(partial(_compute_hand, self.robot), 200_000)
+        self._arms = Kept(self.robot.compute_angles, 200_000)
 
     @staticmethod
     def compute_heading(steps: int, offset: float, turn_step: float) -> float:
@@ -123,25 +130,14 @@ class RobotPoses:
         """Return the joint angles, rad; whole-step configurations are cached."""
         if state.joint_offsets:
             return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
-        angles = self._arms.get(state.joint_steps)
-        if angles is None:
-            if len(self._arms) > 200_000:
-                self._arms.clear()
-            angles = self._arms[state.joint_steps] = self.robot.compute_angles(state.joint_steps)
-        return angles
+        return self._arms[state.joint_steps]
 
     def get_hand_in_base(self, joint_steps: tuple[int, ...],
                          joint_offsets: tuple[float, ...] = ()) -> tuple[float, float, float]:
         """Return the hand position in the base frame, m; whole-step configurations are cached."""
         if joint_offsets:
-            return tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps, joint_offsets)).tolist())
-        hand = self._hands.get(joint_steps)
-        if hand is None:
-            if len(self._hands) > 200_000:
-                self._hands.clear()
-            hand = tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps)).tolist())
-            self._hands[joint_steps] = hand
-        return hand
+            return _compute_hand(self.robot, joint_steps, joint_offsets)
+        return self._hands[joint_steps]
 
     def get_hand(self, state: RoomState) -> tuple[float, float, float]:
         """Return the hand position in the room frame, m."""

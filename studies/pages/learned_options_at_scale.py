@@ -56,7 +56,7 @@ SHORT = ("ppo, planned options",)
 
 RULES: Rules = {
     "no-gain": do_options_not_pay,
-    "wait": is_rest_open,
+    "wait": lambda numbers: do_options_not_pay(numbers) and is_rest_open(numbers),
     "credit": is_credit_slower,
     "no-second-stage": is_second_missing,
     "no-transfer": is_unseen_missing,

@@ -97,7 +97,7 @@ def test_an_unknown_name_is_answered_with_the_closest_and_with_all(ask):
 
 def test_what_is_no_name_is_refused_too():
     with pytest.raises(UnknownNameError, match="unknown option set"):
-        OptionsEnv(EscapeRoomEnv(), option_set=np.zeros(2))  # type: ignore[arg-type]
+        OptionsEnv(EscapeRoomEnv(), option_set=np.zeros(2))  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_set_without_a_batched_form_is_refused_by_batches_and_over_velocities():

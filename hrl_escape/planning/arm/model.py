@@ -492,7 +492,7 @@ class _PairTest:
         self.manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(model, geometry, data)
         self.change: NDArray[np.float64] | None = None
         self._requests, self._bounds = list(data.collisionRequests), bounds
-        self._margins = np.maximum(margins, _LEAST_MARGIN)
+        self._margins = np.array([request.security_margin for request in self._requests])
 
     def widen(self, change: NDArray[np.float64] | None) -> None:
         """Add to the margins how far the bodies of each pair approach when coordinates change, (3 + joints,)."""
