@@ -42,7 +42,7 @@ The files of single bases are not among them: their code is in the names of the 
 """
 
 INSTALLED = Path(sys.prefix, "share", "hrl_escape")
-"""Kernels that were compiled for this installation, a folder named as that of the cache."""
+"""Kernels that were compiled for this installation, in a folder with the name of the cache's folder."""
 _PROSE = re.compile(rb"""
     ^[ \t]*\"{3}[\s\S]*?\"{3}                              # a docstring, or the description of an attribute
     | [ \t]*\#.*                                           # a comment
@@ -201,7 +201,7 @@ def make_cache_folder(name: str) -> Path:
 
 
 def keep_in_installation() -> bool:
-    """Copy all kernels into the virtual environment, with which every new cache begins; return whether it worked."""
+    """Copy all kernels into the virtual environment, and return whether it worked. New caches begin with them."""
     if sys.prefix == sys.base_prefix:
         return False
     shutil.rmtree(INSTALLED, ignore_errors=True)

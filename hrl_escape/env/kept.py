@@ -14,7 +14,7 @@ class Kept(dict[Key, Value]):
 
     Args:
         compute: function of a key. If it were a method of the owner, only the collector of garbage would free both.
-        most: number of values after which all are dropped; states of a continuous puzzle rarely repeat.
+        most: largest number of values. Beyond it all are dropped, as states of a continuous puzzle rarely repeat.
     """
 
     def __init__(self, compute: Callable[[Key], Value], most: int = 4096) -> None:

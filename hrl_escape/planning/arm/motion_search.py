@@ -205,7 +205,7 @@ def _find_clearance(points: NDArray[np.float64], test: MotionTest, margins: Mapp
                     least: float) -> float:
     """Return the first of `_CORNER_CLEARANCES` and `least` that all pairs keep half of along a path, m; 0 for none.
 
-    What keeps half of a clearance keeps half of a smaller one, so a motion that passed is not certified again.
+    A motion that keeps half of a clearance keeps half of a smaller one, so it is not certified again.
     """
     tests, segment = CheckerBudget(10 * test.budget.most + 10_000, test.budget.clock), 0
     for clearance in (*(each for each in _CORNER_CLEARANCES if least < each <= test.margin), least):

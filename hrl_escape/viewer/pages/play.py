@@ -125,7 +125,7 @@ class PlayPage:
 
     def _show_facts(self) -> None:
         episode = self.episode
-        # The best known return tells how far apart the buttons of the hidden order are.
+        # The best known return reveals how far apart the buttons of the hidden order are.
         best = self.page.best if episode.discovery is None or episode.is_over else None
         steps = len(episode.steps)
         facts = (("primitives", str(steps)), ("return", f"{episode.total:g}"),
