@@ -3,8 +3,8 @@
     hrl-escape warm
 
 Plans escapes from a few rooms, one process a core. The compiled code stays in the cache of this version, in
-`~/.cache/hrl_escape` (XDG_CACHE_HOME or NUMBA_CACHE_DIR moves it), and in the virtual environment. New caches begin with
-those kernels. Kernels that the cache has already are loaded, which takes seconds.
+`~/.cache/hrl_escape` (XDG_CACHE_HOME or NUMBA_CACHE_DIR moves it), and in the virtual environment. New caches begin
+with those kernels. Kernels that the cache has already are loaded, which takes seconds.
 """
 
 from __future__ import annotations
