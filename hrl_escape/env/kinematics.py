@@ -569,7 +569,7 @@ def _check_props(count: int, physics: Any) -> None:
         poses = []
     if len(poses) != count or not all(len(pose) == 7 and all(map(math.isfinite, pose)) for pose in poses):
         raise StateError(f"physics = {show_value(physics)} is not possible: None, or the saved physics of a state of "
-                         f"this room, with position and orientation of {count} props")
+                         f"this room, with position and orientation of each prop")
 
 
 def _check_joints(rules: Rules, state: RoomState, slack: float) -> None:
