@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, NearCells, compute_distance
 from hrl_escape.env.instance import RoomInstance, Start, is_on_floor
-from hrl_escape.env.kept import Kept
+from hrl_escape.env.memo import Memo
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
 from hrl_escape.env.primitives import list_slips
@@ -103,10 +103,10 @@ class InnerDoors:
         self.footprints = tuple(door.footprint for door in instance.inner_doors)
         self._puzzle, self._radius = instance.puzzle, instance.robot.outer_radius + CONTACT_SKIN
         self._stride = instance.robot.actions.stride
-        self._shut = Kept(get_mixin(instance.puzzle, Barring).get_shut)
+        self._shut = Memo(get_mixin(instance.puzzle, Barring).get_shut)
         reach = self._radius + 1.5 * instance.robot.actions.longest * (2.0 if instance.dynamics.noise else 1.0)
         self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
-        self._shut_near = Kept(partial(_list_shut, self._near))
+        self._shut_near = Memo(partial(_list_shut, self._near))
         self._at = NearCells(enumerate(self.footprints), ((door, 0.0) for door in self.footprints), 0.25)
         self._pushes = isinstance(instance.puzzle, Pushing)
 
@@ -182,8 +182,8 @@ class Rules(RobotPoses):
         self._reward = instance.reward
         self._step_reward, self._exit_reward = instance.reward.step, instance.reward.on_exit
         self._pays_extra = not instance.reward.is_sparse
-        self._lights = Kept(partial(_compute_lit, instance.puzzle))
-        self._solved = Kept(instance.puzzle.is_solved)
+        self._lights = Memo(partial(_compute_lit, instance.puzzle))
+        self._solved = Memo(instance.puzzle.is_solved)
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
         entries = [(i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets)]

@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.kept import Kept
+from hrl_escape.env.memo import Memo
 from hrl_escape.env.robot import Robot, make_robot
 
 
@@ -91,8 +91,8 @@ class RobotPoses:
         self.symmetry = robot.symmetry
         self._angles = tuple(self.compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
         self.rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
-        self._hands = Kept(partial(_compute_hand, self.robot), 200_000)
-        self._arms = Kept(self.robot.compute_angles, 200_000)
+        self._hands = Memo(partial(_compute_hand, self.robot), 200_000)
+        self._arms = Memo(self.robot.compute_angles, 200_000)
 
     @staticmethod
     def compute_heading(steps: int, offset: float, turn_step: float) -> float:

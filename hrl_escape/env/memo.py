@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-Key = TypeVar("Key")
-Value = TypeVar("Value")
+_Key = TypeVar("_Key")
+_Value = TypeVar("_Value")
 
 
-class Kept(dict[Key, Value]):
+class Memo(dict[_Key, _Value]):
     """Values, computed when a key is first asked for.
 
     Args:
@@ -17,11 +17,11 @@ class Kept(dict[Key, Value]):
         most: largest number of values. Beyond it all are dropped, as states of a continuous puzzle rarely repeat.
     """
 
-    def __init__(self, compute: Callable[[Key], Value], most: int = 4096) -> None:
+    def __init__(self, compute: Callable[[_Key], _Value], most: int = 4096) -> None:
         super().__init__()
         self._compute, self._most = compute, most
 
-    def __missing__(self, key: Key) -> Value:
+    def __missing__(self, key: _Key) -> _Value:
         if len(self) > self._most:
             self.clear()
         value = self[key] = self._compute(key)
