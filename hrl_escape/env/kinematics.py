@@ -25,6 +25,7 @@ from hrl_escape.env.puzzles.base import PUSH, Contacts, Puzzle
 from hrl_escape.env.puzzles.mixins import Barring, Pushing, get_mixin
 from hrl_escape.env.rewards import Events, RewardState
 from hrl_escape.errors import StateError, show_value
+from hrl_escape.names import count_nouns
 
 __all__ = ["EpisodeEnd", "Glide", "Kinematics", "RoomState", "Rules", "Transition", "check_fields", "check_state"]
 
@@ -569,7 +570,7 @@ def _check_props(count: int, physics: Any) -> None:
         poses = []
     if len(poses) != count or not all(len(pose) == 7 and all(map(math.isfinite, pose)) for pose in poses):
         raise StateError(f"physics = {show_value(physics)} is not possible: None, or the saved physics of a state of "
-                         f"this room, with position and orientation of each prop")
+                         f"this room, with position and orientation of {count_nouns(count, 'prop')}")
 
 
 def _check_joints(rules: Rules, state: RoomState, slack: float) -> None:
