@@ -1,7 +1,8 @@
 """Redraw a study's figure from its runs.
 
 A study keeps one line of JSON per run, so you can redraw its figure or ask new questions of the data. This tutorial
-redraws [which part of a hierarchy helps](../results/parts.md). Run it from a checkout, which contains `studies`.
+redraws the figure of [*Learning structure*](../results/learning-structure.md). Run it from a checkout, which contains
+`studies`.
 """
 
 import json

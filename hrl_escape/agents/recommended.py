@@ -34,7 +34,7 @@ RECOMMENDED = (
     ),
     Recommendation(
         "to compare with in one room", "search-memory", "search baseline with memory",
-        "It remembers earlier episodes in the room, as learners do. With four to fifteen buttons it escapes sooner "
+        "It remembers earlier episodes in the room, as learners do. With four to twenty buttons it escapes sooner "
         "than a learner of structure over planned options.",
     ),
     Recommendation(

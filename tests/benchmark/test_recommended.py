@@ -53,9 +53,9 @@ def test_what_is_said_of_unseen_rooms_is_what_was_measured():
 
 
 def test_search_with_memory_is_as_fast_as_is_said():
-    text = (RESULTS / "parts.md").read_text()
-    assert "**With four to fifteen buttons, search that remembers earlier episodes is faster than the learner" in text
-    assert "With four to fifteen buttons it escapes sooner" in REMEMBERING.reason
+    text = (RESULTS / "learning-structure.md").read_text()
+    assert "**With four to twenty buttons, search that remembers earlier episodes is faster than the learner" in text
+    assert "With four to twenty buttons it escapes sooner" in REMEMBERING.reason
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/index.md", "docs/faq.md", "docs/agents/index.md"])

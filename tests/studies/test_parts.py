@@ -200,7 +200,7 @@ def test_every_published_line_is_of_the_registered_design():
     assert lines and {line["design"] for line in lines} == {DESIGN}
     pilots = range(DATA["pilots"]["first_seed"], DATA["pilots"]["first_seed"] + DATA["pilots"]["runs"])
     assert not {line["seed"] for line in lines} & set(pilots)
-    assert DESIGN in (STUDY.folder.parents[1] / "docs/results/parts.md").read_text()
+    assert DESIGN in (STUDY.folder.parents[1] / "docs/results/learning-structure.md").read_text()
 
 
 def test_lines_of_another_design_are_refused(tmp_path: Path):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from studies.pages.parts import RULES
+from studies.pages.learning_structure import RULES
 from studies.parts.reach import BASELINE, FULL, RULE, count_escapes
 from studies.publishing import list_pages, load_findings
 from studies.running import open_store

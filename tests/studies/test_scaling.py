@@ -10,7 +10,7 @@ import pytest
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
 from studies.__main__ import main
-from studies.pages.scaling import RULES
+from studies.pages.learning_structure import RULES
 from studies.scaling import rounds as scaling
 from studies.scaling.analysis import Args, analyse, compare_given, follow, measure
 from studies.scaling.results import RoomKind, ScalingRun
