@@ -15,7 +15,6 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError
 from hrl_escape.files import write_text
-from hrl_escape.names import count_nouns
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.text.coercion import normalise_call
 from hrl_escape.text.recordings import Game, list_answers, record_game, save_games
@@ -64,14 +63,15 @@ class GameSeries:
 
     def begin(self) -> str:
         """Begin the next game and return its first text."""
-        following = self._begin_in(self._rooms[(self.number + 1) % len(self._rooms)])
+        place = (self.number + 1) % len(self._rooms)
+        following = self._begin_in(self._rooms[place])
         text = following.transcript[0].text
         if self.number >= 0:
             self._keep()
         self.session, self.number = following, self.number + 1
         self._keep_answer()
-        rooms = count_nouns(len(self._rooms), "room")
-        return text if len(self._rooms) == 1 else f"Game {self.number + 1}, of {rooms}.\n{text}"
+        rooms = len(self._rooms)
+        return text if rooms == 1 else f"Game {self.number + 1}, in room {place + 1} of {rooms}.\n{text}"
 
     def prepare(self) -> None:
         """Play one option in a copy of the current game, so that the planners are loaded before the first call.

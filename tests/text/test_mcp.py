@@ -77,7 +77,7 @@ def test_a_client_plays_two_rooms_and_sees_what_the_session_answers(tmp_path: Pa
              ("look", {}), ("run_option", {"option": "press-button-2"}), ("run_option", {"option": "press-button-1"}),
              ("run_option", {"option": "go-to-exit"})]
     with Client(series) as client:
-        assert client.begun["instructions"] == f"Game 1, of 2 rooms.\n{twin.transcript[0].text}"
+        assert client.begun["instructions"] == f"Game 1, in room 1 of 2.\n{twin.transcript[0].text}"
         assert client.begun["protocolVersion"] == VERSIONS[-1] and client.begun["serverInfo"]["version"] == __version__
         tools = client.ask("tools/list")["result"]["tools"]
         assert tools[:-1] == twin.tools() and tools[-1]["name"] == "new_game"
@@ -91,7 +91,7 @@ def test_a_client_plays_two_rooms_and_sees_what_the_session_answers(tmp_path: Pa
         assert is_error and '"new_game" begins another' in over and client.notes[-1] == {
             "jsonrpc": "2.0", "method": "notifications/progress", "params": told[-1]}
         following, _ = client.call("new_game", {})
-        assert following == f"Game 2, of 2 rooms.\n{make_session(rooms[1]).transcript[0].text}"
+        assert following == f"Game 2, in room 2 of 2.\n{make_session(rooms[1]).transcript[0].text}"
         assert client.notes[-1] == {"jsonrpc": "2.0", "method": "notifications/tools/list_changed"}
         tools = client.ask("tools/list")["result"]["tools"]
         assert "press-button-3" in tools[0]["inputSchema"]["properties"]["option"]["enum"]
