@@ -1,7 +1,8 @@
 """The agents to begin with: one answer to "which agent?", which the command line, the site and the README quote.
 
 Each label trains under this name in every command and in Python. The numbers are from `docs/results`: *one room*
-from `canon.md`, *unseen rooms* from `marks.md` and `generalisation.md`, the search baseline from `canon.md`.
+from `all-algorithms.md`, *unseen rooms* from `unseen-rooms.md` and `generalisation.md`, the search baseline from
+`all-algorithms.md`.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 from studies.across.candidates import CandidateRun, list_candidates, run_candidate
+from studies.across.drawing import draw
 from studies.running import StudyArgs, make_missing
 from studies.store import Line, Store
 from studies.study import Findings, Study
@@ -159,7 +160,8 @@ def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings
         [rung, *(f"{own[cell]:.2f}" if cell in own else "" for cell in learners)] for rung, own in wrong.items()])
     table = make_table(["rung", "seasons", *columns, *(f"normalised, {size} rooms" for size in data["train_sizes"])],
                        rows)
-    return Findings(SimpleNamespace(rungs=found, wrong=wrong, data=data), {"wrong": table_of_wrong, "across": table})
+    return Findings(SimpleNamespace(rungs=found, wrong=wrong, data=data), {"wrong": table_of_wrong, "across": table},
+                    {"across": lambda theme: draw(found, data, theme)})
 
 
 def _summarise_candidates(runs: Sequence[CandidateRun], data: Mapping[str, Any]
@@ -186,7 +188,10 @@ def _list_cells(data: Mapping[str, Any]) -> list[tuple[str, int]]:
 
 def _summarise(data: Mapping[str, Any], cells: Sequence[tuple[str, int]],
                table: Mapping[tuple[str, int, int], np.ndarray], seasons: Sequence[int]) -> SimpleNamespace:
-    """Means with intervals over seasons, the headroom, and normalised scores of counting where there is headroom."""
+    """Means with intervals over seasons, the headroom, and what counting gains over the best search baseline.
+
+    Gains are normalised where there is headroom.
+    """
     by_season = {cell: [table[(*cell, season)] for season in seasons] for cell in cells}
     means: dict[tuple[str, int], Estimate] = {cell: compute_nested_interval(own) for cell, own in by_season.items()}
     best = max(((agent, 0) for agent in data["searches"]), key=lambda cell: means[cell].value)
@@ -195,4 +200,8 @@ def _summarise(data: Mapping[str, Any], cells: Sequence[tuple[str, int]],
     normalised = {size: None if headroom.low <= LEAST_HEADROOM else
                   (means[data["counting"], size].value - means[best].value) / headroom.value
                   for size in data["train_sizes"]}
-    return SimpleNamespace(seasons=len(seasons), means=means, headroom=headroom, best=best[0], normalised=normalised)
+    gains = {size: compute_nested_interval([np.array([gap]) for gap in
+                                            season_means[data["counting"], size] - season_means[best]])
+             for size in data["train_sizes"]}
+    return SimpleNamespace(seasons=len(seasons), means=means, headroom=headroom, best=best[0], gains=gains,
+                           normalised=normalised, learners={})

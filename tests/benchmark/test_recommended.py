@@ -45,7 +45,7 @@ def test_what_is_said_of_one_room_is_what_was_measured():
 
 def test_what_is_said_of_unseen_rooms_is_what_was_measured():
     lines = {line.split(" | ")[0].removeprefix("| "): line.split(" | ")
-             for line in (RESULTS / "marks.md").read_text().splitlines() if line.count(" | ") == 7}
+             for line in (RESULTS / "unseen-rooms.md").read_text().splitlines() if line.count(" | ") == 7}
     learner, baseline = ([float(lines[kind][column].split()[0]) for kind in KINDS] for column in (3, 5))
     assert all(own > other for own, other in zip(learner, baseline, strict=True))
     assert f"Efficiency {tell_range(learner)} in unseen rooms" in UNSEEN.reason

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from hrl_escape.benchmark.inference import Estimate
 from hrl_escape.benchmark.references.count_cues import RoomOrder
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from studies.across.analysis import AcrossRun, analyse, list_jobs
 from studies.across.attention import AttentionSettings, fit, weigh
 from studies.across.candidates import count_wrong, list_candidates, run_candidate
+from studies.pages.unseen_rooms import RULES
+from studies.publishing import load_findings
 from studies.study import find_study
 
 STUDY = find_study("across")
@@ -74,3 +79,30 @@ def test_a_candidate_counts_in_training_rooms_and_is_tested_in_others():
     (job,) = [job for job in list_candidates(STUDY.data) if job.place == ("cues-1", 0, "colours", "counting", 16)]
     chance = dataclasses.replace(job, learner="random order", rooms=0)
     assert run_candidate(job).wrong < 0.5 < 3 < run_candidate(chance).wrong < 7
+
+
+def make_page(**changes: float) -> SimpleNamespace:
+    """Numbers of the page with the committed runs, and other gains of counting by name of the rung."""
+    rungs = copy.deepcopy(load_findings("across").numbers.rungs)
+    for name, gain in changes.items():
+        own = rungs[f"cues-1/{name.replace('_', '-')}"]
+        own.normalised[64], own.gains[64] = gain, Estimate(gain, gain - 0.02, gain + 0.02)
+    return SimpleNamespace(across=SimpleNamespace(rungs=rungs))
+
+
+def test_one_kind_of_cue_can_refute_what_counting_gains():
+    assert RULES["counting-gains-half"](make_page()) and RULES["compare-with-counting"](make_page())
+    assert not RULES["counting-gains-half"](make_page(latent_codes=0.45))
+    assert not RULES["compare-with-counting"](make_page(noisy=0.01))
+
+
+def test_a_gain_in_the_control_refutes_that_it_teaches_nothing():
+    assert RULES["controls-teach-nothing"](make_page())
+    assert not RULES["controls-teach-nothing"](make_page(symbols_control=0.05))
+
+
+def test_a_family_where_counting_gains_refutes_that_they_are_hard():
+    page = make_page()
+    assert RULES["families-are-hard"](page)
+    page.across.rungs["families-1/ignore-6"].gains[64] = Estimate(0.1, 0.05, 0.15)
+    assert not RULES["families-are-hard"](page)

@@ -12,7 +12,7 @@ import pytest
 
 from hrl_escape.errors import ComparisonError
 from studies.marks.analysis import Kind, MarksRun, gather
-from studies.pages.marks import RULES
+from studies.pages.unseen_rooms import RULES
 from studies.study import find_study
 
 STUDY = find_study("marks")
@@ -79,14 +79,13 @@ def test_one_kind_below_the_search_baseline_refutes_the_finding():
 
 def test_rules_on_numbers_of_rooms_name_the_kinds():
     flat = {"told": (0.5, 0.9, 0.9), "places": (0.5, 0.6, 0.75), "wires": (0.5, 0.6, 0.75)}
-    assert RULES["many-rooms-teach"](make_page(flat)) and RULES["few-rooms-are-too-few"](make_page(flat))
-    assert not RULES["many-rooms-teach"](make_page({**flat, "wires": (0.5, 0.5, 0.9)}))
+    assert RULES["few-rooms-are-too-few"](make_page(flat))
     assert not RULES["few-rooms-are-too-few"](make_page({**flat, "words": (0.5, 0.8, 0.9)}))
 
 
 def test_a_control_above_the_search_baseline_refutes_what_it_controls():
-    assert RULES["controls-teach-nothing"](make_page())
-    assert not RULES["controls-teach-nothing"](make_page(control=0.8))
+    assert RULES["ppo-gains-nothing-in-controls"](make_page())
+    assert not RULES["ppo-gains-nothing-in-controls"](make_page(control=0.8))
 
 
 def test_missing_cells_are_refused():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError
-from studies.pages.storeys import RULES
+from studies.pages.unseen_rooms import RULES
 from studies.statistics import compute_mean
 from studies.storeys.analysis import FloorRun, analyse
 from studies.study import find_study
