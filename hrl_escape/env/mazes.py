@@ -57,24 +57,30 @@ class Maze:
         rows = MAPS[name]
         self.is_free = np.array([[cell != "#" for cell in row] for row in reversed(rows)]).T  # [x, y]
         self._is_wall = np.pad(~self.is_free, 1, constant_values=True)
+        self._wall_tensor: Any = None  # made at first use
         self.half = np.array(self.is_free.shape) / 2
         self.centres = np.argwhere(self.is_free) + 0.5 - self.half
 
     def hits_wall(self, point: Any) -> Any:
         """Return whether the outline at points (n, 2) overlaps a wall, bool (n,)."""
-        hit = False
-        walls = self._is_wall if isinstance(point, np.ndarray) else point.new_tensor(self._is_wall).bool()
-        for side in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            x, y = (self._find_cell(point[:, axis] + side[axis] * (HALF_WIDTH - 1e-4), axis) for axis in range(2))
-            hit = hit | walls[x, y]
-        return hit
+        walls = self._is_wall if isinstance(point, np.ndarray) else self._give_walls(point)
+        low, high = (self._find_cells(point + side * (HALF_WIDTH - 1e-4)) for side in (-1, 1))
+        west, east, south, north = low[:, 0], high[:, 0], low[:, 1], high[:, 1]
+        return walls[west, south] | walls[west, north] | walls[east, south] | walls[east, north]
 
-    def _find_cell(self, coordinate: Any, axis: int) -> Any:
-        """Return the index of a coordinate's cell in the padded map."""
-        top = self._is_wall.shape[axis] - 1
-        if isinstance(coordinate, np.ndarray):
-            return np.clip(np.floor(coordinate + self.half[axis]) + 1, 0, top).astype(np.int64)
-        return ((coordinate + self.half[axis]).floor() + 1).clamp(0, top).long()
+    def _give_walls(self, point: Any) -> Any:
+        """Return the padded map as a tensor on the device of points."""
+        if self._wall_tensor is None or self._wall_tensor.device != point.device:
+            self._wall_tensor = point.new_tensor(self._is_wall).bool()
+        return self._wall_tensor
+
+    def _find_cells(self, point: Any) -> Any:
+        """Return the indices of points' cells in the padded map, int64 (n, 2)."""
+        top = np.array(self._is_wall.shape) - 1
+        if isinstance(point, np.ndarray):
+            return np.clip(np.floor(point + self.half) + 1, 0, top).astype(np.int64)
+        cell = (point + point.new_tensor(self.half)).floor() + 1
+        return cell.clamp(point.new_zeros(2), point.new_tensor(top)).long()
 
     def move(self, point: Any, action: Any) -> Any:
         """Return points after a step of velocities in [-1, 1] (n, 2): first along x, then along y, up to a wall."""

@@ -23,6 +23,14 @@ MUTATIONS = [
              "torch.where(missed[:, None], there, steps", "torch.where(missed[:, None], steps[\"choice\"][at], steps",
              "agents/algorithms/continuous/test_hac.py::"
              "test_every_level_learns_in_hindsight_and_from_missed_tests"),
+    Mutation("the manager is paid for the worker's distance", "agents/algorithms/continuous/hiro.py::Hiro.observe",
+             "windows.discount[env] * reward", "windows.discount[env] * -(left / goals.range).norm(dim=1)",
+             "agents/algorithms/continuous/test_hiro.py::"
+             "test_both_levels_store_what_happened_and_only_the_environment_pays_the_manager"),
+    Mutation("a missed test has a future", "agents/algorithms/continuous/hac.py::Hac._store_tests",
+             "bootstrap=torch.zeros_like(worst)", "bootstrap=self.settings.gamma + torch.zeros_like(worst)",
+             "agents/algorithms/continuous/test_hac.py::"
+             "test_every_level_learns_in_hindsight_and_from_missed_tests"),
     Mutation("hindsight replays goals of earlier states", "agents/components/goal_replay.py::GoalReplay.sample",
              "later = own + (row[1]", "later = own - (row[1]", "agents/components/test_goal_replay.py::"
              "test_goals_come_from_the_same_episode_at_or_after_the_decision"),

@@ -13,6 +13,7 @@ Levy, Konidaris, Platt and Saenko (2019).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -35,6 +36,9 @@ from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
+
+INITIAL_COST = 0.067
+"""Size of the value of an untrained critic, as in the authors' program. Near 0 is optimistic."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +103,7 @@ class HacLevel(Stateful):
     def __init__(self, name: str, goals: GoalReader, choices: int, settings: HacSettings, generator: torch.Generator
                  ) -> None:
         self._settings, self.choices = settings, choices
+        self._offset = -math.log(settings.attempts / INITIAL_COST - 1)
         extra = goals.size + goals.own_size - goals.encoder.shape[0]  # a level sees its goal, not the desired one
         self.actor = make_network(goals.encoder, choices, settings, generator, extra)
         self.critic = make_network(goals.encoder, 1, settings, generator, extra + choices)
@@ -115,8 +120,9 @@ class HacLevel(Stateful):
         return self.actor(seen).tanh()
 
     def compute_values(self, seen: Tensor, choice: Tensor) -> Tensor:
-        """Return Q(s, a; g) between -H and 0, (n,). An untrained critic is near the middle."""
-        return -self._settings.attempts * self.critic(torch.cat((seen, choice), dim=1)).squeeze(1).sigmoid()
+        """Return Q(s, a; g) between -H and 0, (n,). An untrained critic is near -`INITIAL_COST`."""
+        outputs = self.critic(torch.cat((seen, choice), dim=1)).squeeze(1)
+        return -self._settings.attempts * (outputs + self._offset).sigmoid()
 
     def update(self, drawn: Mapping[str, Tensor]) -> dict[str, float]:
         """Make one gradient step of critic and actor."""

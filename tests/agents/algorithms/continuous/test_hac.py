@@ -5,7 +5,7 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.continuous.hac import Hac, HacSettings
+from hrl_escape.agents.algorithms.continuous.hac import INITIAL_COST, Hac, HacSettings
 from hrl_escape.agents.decisions import Decisions, Moments
 from hrl_escape.errors import UnsupportedSpaceError
 
@@ -109,6 +109,8 @@ def test_values_are_between_minus_h_and_zero_and_nothing_explores_below_a_test()
     seen = torch.randn(50, 4) * 100
     values = agent.levels[0].compute_values(seen, torch.randn(50, 2))
     assert (values <= 0).all() and (values >= -ATTEMPTS).all()
+    untrained = agent.levels[1].compute_values(seen / 100, torch.zeros(50, 2))
+    assert torch.allclose(untrained, torch.tensor(-INITIAL_COST), atol=0.05), "optimistic"
 
     def note(point, action, after, goals, tested, terminated, truncated):
         assert tested[1].all()

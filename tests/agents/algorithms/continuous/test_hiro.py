@@ -87,6 +87,41 @@ def test_both_levels_store_what_happened_and_only_the_environment_pays_the_manag
         assert manager["length"][row] == window["length"]
 
 
+def test_targets_of_both_levels_are_exact_along_scripted_windows():
+    agent = make(updates_per_step=0.0, target_noise=0.0, correction=False)
+    record, scale = run(agent), torch.tensor([2.0, 3.0])
+    drift = torch.Generator().manual_seed(3)
+    for level in (agent.worker, agent.manager):  # targets that differ from each other and from the online networks
+        for network in (level.target_actor, *level.target_critics):
+            network.weights.add_(0.3 * torch.randn(network.weights.shape, generator=drift))
+
+    def value(level, seen):
+        pair = torch.cat((seen, level.target_actor(seen[None])[0].tanh()))
+        return min(critic(pair[None]).item() for critic in level.target_critics)
+
+    for level, replay in ((agent.worker, agent.worker_replay), (agent.manager, agent.manager_replay)):
+        rows = {name: each[: len(replay)] for name, each in replay.rows.items()}
+        level.found = level.compute_targets(rows["reward"], rows["bootstrap"], rows["next_seen"]).tolist()
+    starts, number = [None] * ENVS, 0
+    for step, (seen, _, goal, after, _, summed, duration, terminated, truncated) in enumerate(record):
+        for env in range(ENVS):
+            # The worker is paid for the distance to its goal, and valued for the same point after the move, also where
+            # its window ends.
+            left = goal[env] + seen[env][:2] - after[env][:2]
+            future = value(agent.worker, torch.cat((after[env] / 8, left / scale)))
+            factor = 0.0 if terminated[env] else 0.95 ** int(duration[env])
+            exact = -float((left / scale).norm()) + factor * future
+            assert agent.worker.found[ENVS * step + env] == pytest.approx(exact, abs=1e-3)
+            starts[env] = starts[env] or [0, 0.0]
+            starts[env] = [starts[env][0] + 1, starts[env][1] + float(summed[env])]
+            if starts[env][0] == WINDOW or terminated[env] or truncated[env]:
+                future = 0.0 if terminated[env] else value(agent.manager, after[env] / 8)
+                exact = 0.1 * starts[env][1] + 0.99 * future
+                assert agent.manager.found[number] == pytest.approx(exact, abs=1e-3)
+                number, starts[env] = number + 1, None
+    assert number == len(agent.manager_replay) > 40
+
+
 def test_old_goals_become_the_candidates_that_make_the_actions_likeliest():
     agent = make(updates_per_step=0.0)
     run(agent)
