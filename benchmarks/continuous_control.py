@@ -1,8 +1,7 @@
-"""SAC, TD3 and PPO against Stable-Baselines3 on Box actions, and goal hierarchies against flat agents in point mazes.
+"""SAC, TD3 and PPO against Stable-Baselines3 on Box actions.
 
     python -m benchmarks.continuous_control                       # control tasks: hours on a core
     python -m benchmarks.continuous_control --tasks Pendulum-v1 --learners sac sb3-sac --seeds 3 --primitives 5000
-    python -m benchmarks.continuous_control --mazes u four-rooms  # mazes
     python -m benchmarks.continuous_control --table               # means of the finished runs
 
 Both libraries run at their default settings for the same number of primitives: networks of 256 x 256, minibatches of
@@ -25,19 +24,13 @@ from typing import Any
 import gymnasium
 import torch
 
-import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import train
 
 TASKS = {"Pendulum-v1": 20_000, "LunarLanderContinuous-v3": 100_000, "BipedalWalker-v3": 300_000}
 """Task -> primitives of a run."""
 LEARNERS = ("sac", "td3", "ppo", "sb3-sac", "sb3-td3", "sb3-ppo")
-IN_MAZES = ("hiro", "hrac", "hac", "td3", "td3-hindsight", "sac", "sac-hindsight", "hiro-uncorrected")
-MAZE_ENVS, EPISODES = 256, 10
-"""Mazes that step together, and episodes of the last evaluation."""
-CHANGES: dict[str, dict[str, Any]] = {
-    "td3-hindsight": {"hindsight_goals": 4}, "sac-hindsight": {"hindsight_goals": 4},
-    "hiro-uncorrected": {"correction": False}}
-"""Settings of variants in mazes."""
+EPISODES = 10
+"""Episodes of the last evaluation."""
 
 
 def run_own(name: str, task: str, seed: int, primitives: int, warmup: int) -> float:
@@ -63,22 +56,12 @@ def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int) -> f
     return float(evaluate_policy(model, env, EPISODES)[0])  # pyright: ignore[reportArgumentType]  # a monitor
 
 
-def run_maze(name: str, maze: str, seed: int, primitives: int) -> float:
-    """Train an agent in many mazes; returns the success rate of greedy episodes at the end."""
-    env = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=MAZE_ENVS, maze=maze)
-    base = name.removesuffix("-hindsight").removesuffix("-uncorrected")
-    settings = {"hidden": [64, 64], "max_updates": 4} | CHANGES.get(name, {})
-    result = train(base, env, primitives=primitives, seed=seed, settings=settings, eval_every=primitives,
-                   eval_episodes=5 * EPISODES, progress=False)
-    return float(result.evaluations[-1].success_rate or 0.0)
-
-
 def list_runs(args: argparse.Namespace) -> Iterator[tuple[str, str, int, int]]:
     """Yield task, learner, seed and primitives of every run."""
     for seed in range(args.seeds):
-        for task in args.tasks if not args.mazes else args.mazes:
-            for learner in args.learners or (IN_MAZES if args.mazes else LEARNERS):
-                yield task, learner, seed, args.primitives or TASKS.get(task, 1_000_000)
+        for task in args.tasks:
+            for learner in args.learners:
+                yield task, learner, seed, args.primitives or TASKS[task]
 
 
 def show(rows: list[dict[str, Any]]) -> None:
@@ -97,8 +80,7 @@ def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=list(TASKS))
-    parser.add_argument("--mazes", nargs="+", default=[])
-    parser.add_argument("--learners", nargs="+", default=[])
+    parser.add_argument("--learners", nargs="+", default=list(LEARNERS))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--primitives", type=int, default=0)
     parser.add_argument("--warmup", type=int, default=1_000)
@@ -112,11 +94,8 @@ def main() -> None:
         if (task, learner, seed, primitives) in known:
             continue
         started = time.process_time()
-        if args.mazes:
-            final = run_maze(learner, task, seed, primitives)
-        else:
-            run = run_peer if learner.startswith("sb3-") else run_own
-            final = run(learner, task, seed, primitives, args.warmup)
+        run = run_peer if learner.startswith("sb3-") else run_own
+        final = run(learner, task, seed, primitives, args.warmup)
         row = {"task": task, "learner": learner, "seed": seed, "primitives": primitives, "warmup": args.warmup,
                "final": final, "seconds": round(time.process_time() - started, 1)}
         rows.append(row)

@@ -23,6 +23,7 @@ from pkgutil import resolve_name
 from typing import Any, Literal
 
 import gymnasium
+from gymnasium.vector import VectorEnv
 
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.env_description import compute_code_digest, compute_digest, describe_env, load_file
@@ -144,6 +145,19 @@ class EnvSpec(Settings):
             raise GridError(f"{agent.label} chooses among options, and {self.name} has none: give options=")
         raise GridError(f"{agent.label} acts with primitives, and {self.name} has options: give env= without them, "
                         "and options=")
+
+    def make_many(self, agent: AgentSpec, num_envs: int) -> VectorEnv:
+        """Make copies of the environment that step together, without options.
+
+        Raises:
+            GridError: the environment has no Gymnasium id, or the agent chooses among options.
+        """
+        if not self._is_id:
+            raise GridError(f"many copies need a Gymnasium id: gymnasium.make_vec makes none of {self.env}")
+        if agent.chooses_options:
+            raise GridError(f"{agent.label} chooses among options, which copies of {self.name} do not have: take "
+                            f"{agent.algorithm}")
+        return gymnasium.make_vec(self.env, num_envs=num_envs, **self.arguments)
 
     def make_place(self, agents: Sequence[AgentSpec]) -> EnvPlace:
         """Make the environment once for every kind of agent, and return it as a place of runs.

@@ -90,7 +90,8 @@ class TrainArgs(AgentChoice, EnvChoice, RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     num_envs: int | None = None
-    """Number of copies of the room on the batched engine; for the agents of `hrl-escape list batched`."""
+    """Number of copies of the room on the batched engine, or of --env by `gymnasium.make_vec`; for the agents of
+    `hrl-escape list batched`."""
     device: str = "cpu"
     """Device of copies and networks, such as cuda; with --num-envs."""
     compile: bool = False
@@ -152,9 +153,12 @@ def run(args: TrainArgs) -> None:
         _train_offline(args, spec)
         return
     if (chosen := args.make_env_spec()) is not None:
-        refuse_options(args, (*OF_ROOMS, "observation"), f"does not go with --env: {args.env} has its own observations "
-                       "and actions, and --options are its options")
-        with closing(chosen.make_agent_env(spec)) as made:
+        of_rooms = tuple(name for name in (*OF_ROOMS, "observation") if name != "num_envs")
+        refuse_options(args, of_rooms, f"does not go with --env: {args.env} has its own observations and actions, and "
+                       "--options are its options")
+        single = chosen.make_agent_env(spec)
+        with closing(single):
+            made = single if args.num_envs is None else chosen.make_many(spec, args.num_envs)
             _tell(args, spec, _train(args, spec, made, chosen.name), None)
         return
     if not spec.chooses_options:

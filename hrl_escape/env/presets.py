@@ -101,13 +101,14 @@ def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
     )
 
 
-def continuous_four_rooms(reward: float = 0.0) -> RoomConfig:
-    """Four rooms in metres, for velocities: from the south-west room to the exit in the north-east room.
+def continuous_four_rooms(reward: float = 0.0, random_start: bool = True) -> RoomConfig:
+    """Four rooms in metres, for velocities: from anywhere to the exit in the north-east room.
 
     The map is that of `four-rooms`, with a disc that strafes. The button at the exit opens it.
 
     Args:
         reward: of the exit, in addition to the cost of time.
+        random_start: episodes begin in any cell and last 50 s; False begins in the south-west room, for 100 s.
     """
     goal = Place(4.0, 4.0)
     return RoomConfig(
@@ -115,10 +116,10 @@ def continuous_four_rooms(reward: float = 0.0) -> RoomConfig:
         room=ShapeConfig(width=11, depth=11, map=FOUR_ROOMS),
         robot=RobotConfig(body_radius=0.2, move_step=0.5, turn_step_deg=90, drive="strafing"),
         puzzle=PinPadConfig(count=1, floor=Pads(0.9, 0.9, (goal,))),
-        start=StartConfig(place="fixed", x=-4.0, y=-4.0),
+        start=StartConfig(place="cells") if random_start else StartConfig(place="fixed", x=-4.0, y=-4.0),
         exit=ExitConfig(place="fixed", x=goal.x, y=goal.y, width=1, depth=1),
         reward=RewardConfig(step=-1.0, exit=reward),
-        horizon=100,
+        horizon=50 if random_start else 100,
     )
 
 

@@ -119,9 +119,21 @@ def test_an_environment_from_elsewhere_is_trained_in_resumed_and_loaded(capsys, 
     assert_refused(capsys, [*command, "--out", folder], "files.mine.py")
 
 
+def test_copies_of_an_environment_from_elsewhere_are_trained_in(capsys, tmp_path):
+    code, out, error = call(capsys, "train", "hiro", "--env", "hrl_escape/PointMaze-v1", "--num-envs", "8", "--json",
+                            "--primitives", "160", "--eval-episodes", "1", "--out", str(tmp_path / "run"),
+                            "--settings", "hidden=[8]", "warmup=50", "window=5")
+    assert code == 0, error
+    assert json.loads(out)["primitives"] >= 160
+    make = tmp_path / "mine.py"
+    make.write_text("import gymnasium\n\ndef make():\n    return gymnasium.make('CartPole-v1')\n")
+    assert_refused(capsys, ["train", "dqn", "--env", f"{make}:make", "--num-envs", "4"], "need a Gymnasium id")
+
+
 @pytest.mark.parametrize(("words", "says"), [
     (["dqn", "--env", "CartPole-v1", "--room", "clutter"], "--room does not go with --env"),
-    (["dqn", "--env", "CartPole-v1", "--num-envs", "4"], "--num-envs does not go with --env"),
+    (["dqn", "--env", "nowhere.py:make", "--num-envs", "4"], "nowhere.py"),
+    (["dqn", "--env", "CartPole-v1", "--device", "cuda"], "--device does not go with --env"),
     (["smdp-dqn", "--env", "CartPole-v1"], "CartPole-v1 has none: give options="),
     (["maxq-q+planned", "--env", "CartPole-v1"], "needs a room"),
     (["dqn", "--options", "mine.py:make"], "--options is for --env"),

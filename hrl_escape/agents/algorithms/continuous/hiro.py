@@ -53,7 +53,8 @@ class HiroSettings(AgentSettings):
     goal_columns: tuple[Annotated[int, Range(0)], ...] = (0, 1)
     """Components of the observation that goals set, such as x and y. Observations with goals use `achieved_goal`."""
     goal_range: tuple[float, ...] = ()
-    """Largest size of each component of a goal, in its unit; by default a quarter of the width between the bounds."""
+    """Largest size of each component of a goal, in its unit; by default a quarter of the width between the bounds.
+    Choose how far the worker gets in a window."""
     correction: bool = True
     """Relabel old goals for the current worker; otherwise they stay as they were set."""
     hidden: tuple[Annotated[int, Range(1)], ...] = (256, 256)
@@ -64,14 +65,15 @@ class HiroSettings(AgentSettings):
     """Map components with finite bounds to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
     """Factor on the manager's rewards. Smaller values suit larger returns."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
     """Step size of Adam. Too large a step diverges."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator."""
     max_grad_norm: Annotated[float, Range(0)] = 0.0
     """Largest Euclidean norm of a gradient; larger ones are scaled down. 0 sets no limit."""
-    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.005
-    """Share of the online networks blended into the targets. Smaller rates are slower and more stable."""
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
+    """Share of the online networks blended into the targets. Smaller rates are slower and more stable. The paper's
+    0.005 suits the millions of updates of one environment, not the few of many environments."""
     manager_noise: Annotated[float, Range(0)] = 0.2
     """Standard deviation of the noise on goals. More explores more."""
     worker_noise: Annotated[float, Range(0)] = 0.2

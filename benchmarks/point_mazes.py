@@ -1,0 +1,183 @@
+"""Goal hierarchies, their ablations, and flat agents with and without hindsight in point mazes.
+
+    python -m benchmarks.point_mazes --out point-mazes.jsonl          # ten seeds of each learner in the U maze
+    python -m benchmarks.point_mazes --learners hiro --seeds 0 1      # two runs
+    python -m benchmarks.point_mazes --trials                         # the settings of `TRIALS`, on seeds from 100
+    python -m benchmarks.point_mazes --table                          # tables of the finished runs
+
+256 mazes step together. After each step, every learner makes 4 updates of each of its levels, from minibatches of 256
+and with networks of 64 x 64. After each third of the budget, the policy without noise runs 128 episodes, the same ones
+for every learner and seed. `success` is the share that reaches the goal, `area` the mean of it over the evaluations,
+and `steps` the mean length of an episode. Seconds are CPU time. Finished runs are kept, a line each, in the file
+`--out`, by default `benchmarks/point-mazes.jsonl`; the command continues a stopped run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.agents import train
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.decisions import Moments, Policy
+from hrl_escape.agents.training.callbacks import Callback
+from hrl_escape.agents.training.results import Evaluation
+from hrl_escape.benchmark.inference import compare_pairs, correct_by_holm
+from hrl_escape.intervals import compute_mean_interval
+from studies.statistics import compute_sign_flip_p
+
+NUM_ENVS, EPISODES, POINTS = 256, 128, 3
+"""Mazes that step together, episodes of an evaluation, and evaluations of a run."""
+BUDGETS = {"u": 49_152, "medium": 98_304, "large": 196_608, "four-rooms": 98_304}
+"""Maze -> primitives of a run, all mazes together."""
+COMMON: dict[str, Any] = {"hidden": [64, 64], "batch_size": 256, "max_batch_size": 256, "max_updates": 4}
+SLOW, FAST = {"learning_rate": 3e-4, "target_rate": 0.005}, {"learning_rate": 1e-3, "target_rate": 0.05}
+GOALS = {"goal_range": [1.5, 1.5]}
+TRIALS: dict[str, tuple[dict[str, Any], ...]] = {
+    "hiro": (GOALS | FAST, GOALS | SLOW), "hrac": (GOALS | FAST, GOALS | SLOW),
+    "hac": ({"learning_rate": 1e-3}, {"learning_rate": 3e-4}),
+    "td3": (FAST, SLOW), "td3-hindsight": (FAST, SLOW), "sac": (FAST, SLOW), "sac-hindsight": (FAST, SLOW)}
+"""Settings that were tried for each learner on seeds from 100. The first of each are those of the study."""
+CHANGES: dict[str, dict[str, Any]] = {
+    "td3-hindsight": {"hindsight_goals": 4}, "sac-hindsight": {"hindsight_goals": 4},
+    "hiro-uncorrected": {"correction": False}, "hac-untested": {"subgoal_tests": 0.0}}
+"""Settings that make a variant of the agent before the hyphen; ablations keep the agent's settings."""
+LEARNERS = ("hiro", "hiro-uncorrected", "hrac", "hac", "hac-untested", "td3", "td3-hindsight", "sac", "sac-hindsight")
+PAIRS = (("hiro", "hiro-uncorrected"), ("hrac", "hiro"), ("hac", "hac-untested"), ("hac", "hiro"),
+         ("hiro", "td3-hindsight"), ("hac", "td3-hindsight"), ("td3-hindsight", "td3"), ("sac-hindsight", "sac"))
+"""Learners that are compared seed by seed."""
+
+
+def measure(policy: Policy, maze: str) -> tuple[float, float]:
+    """Run the first episode of each of many mazes; returns success rate and mean length in steps."""
+    env = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=EPISODES, maze=maze)
+    seen, _ = env.reset(seed=1_000)
+    policy.begin_episode(np.random.default_rng(0), EPISODES)
+    rows, none = torch.arange(EPISODES), torch.ones((EPISODES, 0), dtype=torch.bool)
+    over, won, steps = torch.zeros(EPISODES, dtype=torch.bool), torch.zeros(EPISODES), torch.zeros(EPISODES)
+    while not bool(over.all()):
+        flat = torch.cat([seen[name] for name in sorted(seen)], dim=1)
+        seen, _, terminated, truncated, _ = env.step(policy.act(Moments(rows, flat, none)))
+        steps += ~over
+        won += terminated & ~over
+        over |= terminated | truncated
+    return float(won.mean()), float(steps.mean())
+
+
+class Measuring(Callback):
+    """Keeps primitives, success rate and steps of each evaluation after the beginning."""
+
+    def __init__(self, maze: str) -> None:
+        self._maze, self.scores = maze, list[tuple[int, float, float]]()
+
+    def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
+        """Evaluate the agent without noise."""
+        if evaluation.primitives:
+            success, steps = measure(agent.make_policy(), self._maze)
+            self.scores.append((evaluation.primitives, round(success, 4), round(steps, 1)))
+        return False
+
+
+def run(learner: str, maze: str, seed: int, primitives: int, trial: int = 0) -> list[tuple[int, float, float]]:
+    """Train a learner; returns primitives, success rate and steps of each evaluation."""
+    base = learner.partition("-")[0]
+    settings = COMMON | TRIALS.get(learner, TRIALS[base])[trial] | CHANGES.get(learner, {})
+    env = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=NUM_ENVS, maze=maze)
+    measuring, unused = Measuring(maze), gymnasium.make("hrl_escape/PointMaze-v1", maze=maze, max_steps=1)
+    train(base, env, primitives=primitives, seed=seed, settings=settings, eval_every=primitives // POINTS,
+          eval_env=unused, eval_episodes=1, callbacks=[measuring], progress=False, observed=False)
+    return measuring.scores
+
+
+def select(rows: Sequence[dict[str, Any]], maze: str, learner: str) -> dict[int, np.ndarray]:
+    """Return success rate, area and steps of each seed, (3,)."""
+    return {row["seed"]: np.array((row["scores"][-1][1], np.mean([score[1] for score in row["scores"]]),
+                                   row["scores"][-1][2]))
+            for row in rows if (row["maze"], row["learner"]) == (maze, learner)}
+
+
+def summarise(rows: Sequence[dict[str, Any]]) -> str:
+    """A table with a line for each maze and learner: means with Student's 95 % intervals over seeds."""
+    lines = ["| maze | learner | runs | success at the end | area | steps | success of each seed | CPU s a run |",
+             "|---|---|---|---|---|---|---|---|"]
+    for maze in BUDGETS:
+        for learner in LEARNERS:
+            if not (found := select(rows, maze, learner)):
+                continue
+            cells = []
+            for number, digits in enumerate((2, 2, 0)):
+                mean, low, high = compute_mean_interval([found[seed][number] for seed in sorted(found)])
+                cells.append(f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
+            each = " ".join(f"{found[seed][0]:.2f}" for seed in sorted(found))
+            cpu = np.mean([row["seconds"] for row in rows if (row["maze"], row["learner"]) == (maze, learner)])
+            lines.append(f"| {maze} | {learner} | {len(found)} | {' | '.join(cells)} | {each} | {cpu:.0f} |")
+    return "\n".join(lines)
+
+
+def compare(rows: Sequence[dict[str, Any]]) -> str:
+    """A table of differences between two learners with the same seeds, in success at the end and in area.
+
+    Each difference has Student's interval and a sign-flip test. The verdict distinguishes two learners if Holm's
+    correction over all lines of the table leaves p below 0.05.
+    """
+    found = []
+    for maze in BUDGETS:
+        for pair in PAIRS:
+            runs = [select(rows, maze, learner) for learner in pair]
+            seeds = sorted(runs[0].keys() & runs[1].keys())
+            for number, name in enumerate(("success", "area") if len(seeds) > 1 else ()):
+                gaps = np.array([runs[0][seed][number] - runs[1][seed][number] for seed in seeds])
+                p = min(1.0, *(2 * compute_sign_flip_p(gaps, side) for side in ("above", "below")))
+                found.append((maze, pair, name, gaps, p))
+    lines = ["| maze | first, second | measure | pairs | difference | 95 % interval | p, Holm | verdict |",
+             "|---|---|---|---|---|---|---|---|"]
+    for (maze, pair, name, gaps, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
+        test = compare_pairs([gaps])
+        verdict = f"{pair[0]} {'higher' if test.difference > 0 else 'lower'}" if p < 0.05 else "no significant difference"
+        lines.append(f"| {maze} | {', '.join(pair)} | {name} | {test.pairs} | {test.difference:+.2f} | {test.low:+.2f} to "
+                     f"{test.high:+.2f} | {p:.3f} | {verdict} |")
+    return "\n".join(lines) if found else ""
+
+
+def main() -> None:
+    """Run what is missing, then print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--mazes", nargs="+", choices=BUDGETS, default=["u"])
+    parser.add_argument("--learners", nargs="+", choices=LEARNERS, default=list(LEARNERS))
+    parser.add_argument("--seeds", nargs="+", type=int)
+    parser.add_argument("--trials", action="store_true", help="try all settings of `TRIALS`, on seed 100 by default")
+    parser.add_argument("--primitives", type=int, help="budget of a run, instead of the maze's")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("point-mazes.jsonl"))
+    parser.add_argument("--table", action="store_true")
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
+    seeds = args.seeds or ([100] if args.trials else list(range(10)))
+    wanted = [(maze, learner, seed, trial) for maze in args.mazes for seed in seeds for learner in args.learners
+              for trial in (range(len(TRIALS.get(learner, ()))) if args.trials else (0,))]
+    for maze, learner, seed, trial in () if args.table else wanted:
+        cell = {"maze": maze, "learner": learner, "seed": seed, "trial": trial,
+                "primitives": args.primitives or BUDGETS[maze]}
+        if any(row.items() >= cell.items() for row in rows):
+            continue
+        started = time.process_time()
+        scores = run(learner, maze, seed, cell["primitives"], trial)
+        rows.append(cell | {"scores": scores, "seconds": round(time.process_time() - started, 1)})
+        with args.out.open("a") as file:
+            file.write(json.dumps(rows[-1]) + "\n")
+        print(json.dumps(rows[-1]), flush=True)
+    rows = [row for row in rows if row["seed"] in seeds and row["trial"] == 0]
+    print(summarise(rows), compare(rows), sep="\n\n")
+
+
+if __name__ == "__main__":
+    main()

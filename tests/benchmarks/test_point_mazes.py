@@ -1,0 +1,41 @@
+"""Point mazes: what is compared of runs, and how an evaluation counts episodes."""
+
+import torch
+
+from benchmarks.point_mazes import CHANGES, LEARNERS, PAIRS, TRIALS, compare, measure, summarise
+from hrl_escape.agents.decisions import Policy
+
+
+class Drive(Policy):
+    """The same velocities in all mazes."""
+
+    def __init__(self, action):
+        self._action = torch.tensor(action)
+
+    def begin_episode(self, rng, num_envs=1):
+        pass
+
+    def act(self, batch):
+        return self._action.expand(len(batch.env), 2)
+
+
+def test_success_and_steps_are_of_the_first_episode_of_each_maze():
+    still, moving = measure(Drive([0.0, 0.0]), "u"), measure(Drive([1.0, 0.0]), "u")
+    assert still == (0.0, 150.0), "starts and goals are in different cells"
+    assert 0 < moving[0] < 0.5
+    assert 150 * (1 - moving[0]) < moving[1] < 150 * (1 - moving[0]) + 20 * moving[0], "goals to the right are near"
+
+
+def test_learners_are_agents_with_known_settings_and_pairs_are_of_learners():
+    assert {each for pair in PAIRS for each in pair} <= set(LEARNERS)
+    assert set(TRIALS) | set(CHANGES) == set(LEARNERS)
+
+
+def test_tables_have_means_over_seeds_and_paired_differences():
+    rows = [{"maze": "u", "learner": learner, "seed": seed, "trial": 0, "primitives": 100, "seconds": 2.0,
+             "scores": [[50, level, 90.0], [100, level + 0.01 * seed, 40.0]]}
+            for learner, level in (("hiro", 0.8), ("hiro-uncorrected", 0.5)) for seed in range(10)]
+    lines = summarise(rows).splitlines()
+    assert len(lines) == 4 and "| u | hiro | 10 | 0.85 (0.82 to 0.87) | 0.82" in lines[2]
+    area = compare(rows).splitlines()[-1]
+    assert "| u | hiro, hiro-uncorrected | area | 10 | +0.30 |" in area and area.endswith("hiro higher |")
