@@ -4,6 +4,7 @@
     python -m benchmarks.point_mazes --learners hiro --seeds 0 1      # two runs
     python -m benchmarks.point_mazes --trials                         # the settings of `TRIALS`, on seeds from 100
     python -m benchmarks.point_mazes --table                          # tables of the finished runs
+    python -m benchmarks.point_mazes --exploration                    # how often random goals escape a room
 
 256 mazes step together. After each step, every learner makes 4 updates of each of its levels, from minibatches of 256
 and with networks of 64 x 64. After each third of the budget, the policy without noise runs 128 episodes, the same ones
@@ -15,6 +16,7 @@ and `steps` the mean length of an episode. Seconds are CPU time. Finished runs a
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import time
 from collections.abc import Sequence
@@ -32,7 +34,8 @@ from hrl_escape.agents.decisions import Moments, Policy
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.results import Evaluation
 from hrl_escape.benchmark.inference import compare_pairs, correct_by_holm
-from hrl_escape.intervals import compute_mean_interval
+from hrl_escape.env.continuous_vector_env import EscapeRoomContinuousVectorEnv
+from hrl_escape.env.presets import continuous_four_rooms
 from studies.statistics import compute_sign_flip_p
 
 NUM_ENVS, EPISODES, POINTS = 256, 128, 3
@@ -98,6 +101,32 @@ def run(learner: str, maze: str, seed: int, primitives: int, trial: int = 0) -> 
     return measuring.scores
 
 
+def explore(random_start: bool, window: int, reach: float) -> float:
+    """Return the share of episodes that escape from `continuous-four-rooms` by random goals and a perfect worker.
+
+    Args:
+        random_start: of the preset.
+        window: steps of a goal; 1 draws velocities evenly instead.
+        reach: largest distance of a goal along each axis, m.
+    """
+    rooms, generator = 512, torch.Generator().manual_seed(0)
+    env = EscapeRoomContinuousVectorEnv(rooms, continuous_four_rooms(random_start=random_start), output="torch")
+    top = env.velocities.speed * env.velocities.time_step
+    seen, _ = env.reset(seed=0)
+    goal, (won, over) = seen[:, :2], torch.zeros((2, rooms), dtype=torch.bool)
+    for step in itertools.count():
+        if bool(over.all()):
+            break
+        drawn = 2 * torch.rand((rooms, 2), generator=generator) - 1
+        if step % window == 0:
+            goal = seen[:, :2] + reach * drawn
+        rates = drawn if window == 1 else ((goal - seen[:, :2]) / top).clamp(-1, 1)
+        seen, _, terminated, truncated, _ = env.step(torch.cat((rates, torch.zeros((rooms, 1))), dim=1))
+        won |= terminated & ~over
+        over |= terminated | truncated
+    return float(won.float().mean())
+
+
 def select(rows: Sequence[dict[str, Any]], maze: str, learner: str) -> dict[int, np.ndarray]:
     """Return success rate, area and steps of each seed, (3,)."""
     return {row["seed"]: np.array((row["scores"][-1][1], np.mean([score[1] for score in row["scores"]]),
@@ -106,7 +135,7 @@ def select(rows: Sequence[dict[str, Any]], maze: str, learner: str) -> dict[int,
 
 
 def summarise(rows: Sequence[dict[str, Any]]) -> str:
-    """A table with a line for each maze and learner: means with Student's 95 % intervals over seeds."""
+    """A table with a line for each maze and learner: means with 95 % bootstrap intervals over seeds."""
     lines = ["| maze | learner | runs | success at the end | area | steps | success of each seed | CPU s a run |",
              "|---|---|---|---|---|---|---|---|"]
     for maze in BUDGETS:
@@ -115,8 +144,10 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
                 continue
             cells = []
             for number, digits in enumerate((2, 2, 0)):
-                mean, low, high = compute_mean_interval([found[seed][number] for seed in sorted(found)])
-                cells.append(f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
+                values = np.array([found[seed][number] for seed in sorted(found)])
+                draws = np.random.default_rng(0).integers(len(values), size=(10_000, len(values)))
+                low, high = np.percentile(values[draws].mean(axis=1), (2.5, 97.5))
+                cells.append(f"{values.mean():.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
             each = " ".join(f"{found[seed][0]:.2f}" for seed in sorted(found))
             cpu = np.mean([row["seconds"] for row in rows if (row["maze"], row["learner"]) == (maze, learner)])
             lines.append(f"| {maze} | {learner} | {len(found)} | {' | '.join(cells)} | {each} | {cpu:.0f} |")
@@ -142,9 +173,10 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
              "|---|---|---|---|---|---|---|---|"]
     for (maze, pair, name, gaps, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
         test = compare_pairs([gaps])
-        verdict = f"{pair[0]} {'higher' if test.difference > 0 else 'lower'}" if p < 0.05 else "no significant difference"
-        lines.append(f"| {maze} | {', '.join(pair)} | {name} | {test.pairs} | {test.difference:+.2f} | {test.low:+.2f} to "
-                     f"{test.high:+.2f} | {p:.3f} | {verdict} |")
+        side = "higher" if test.difference > 0 else "lower"
+        lines.append(f"| {maze} | {', '.join(pair)} | {name} | {test.pairs} | {test.difference:+.2f} | "
+                     f"{test.low:+.2f} to {test.high:+.2f} | {p:.3f} | "
+                     f"{f'{pair[0]} {side}' if p < 0.05 else 'no significant difference'} |")
     return "\n".join(lines) if found else ""
 
 
@@ -158,8 +190,16 @@ def main() -> None:
     parser.add_argument("--primitives", type=int, help="budget of a run, instead of the maze's")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("point-mazes.jsonl"))
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--exploration", action="store_true", help="random goals in a room, without learning")
     args = parser.parse_args()
     torch.set_num_threads(1)
+    if args.exploration:
+        print("| starts | steps of a goal | goals within, m | escaped |\n|---|---|---|---|")
+        for random_start in (True, False):
+            for window, reach in ((1, 0.0), (20, 2.0), (20, 4.0)):
+                share = explore(random_start, window, reach)
+                print(f"| {'any cell' if random_start else 'south-west room'} | {window} | {reach} | {share:.1%} |")
+        return
     rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
     seeds = args.seeds or ([100] if args.trials else list(range(10)))
     wanted = [(maze, learner, seed, trial) for maze in args.mazes for seed in seeds for learner in args.learners

@@ -36,6 +36,6 @@ def test_tables_have_means_over_seeds_and_paired_differences():
              "scores": [[50, level, 90.0], [100, level + 0.01 * seed, 40.0]]}
             for learner, level in (("hiro", 0.8), ("hiro-uncorrected", 0.5)) for seed in range(10)]
     lines = summarise(rows).splitlines()
-    assert len(lines) == 4 and "| u | hiro | 10 | 0.85 (0.82 to 0.87) | 0.82" in lines[2]
+    assert len(lines) == 4 and "| u | hiro | 10 | 0.85 (0.83 to 0.86) | 0.82" in lines[2]
     area = compare(rows).splitlines()[-1]
     assert "| u | hiro, hiro-uncorrected | area | 10 | +0.30 |" in area and area.endswith("hiro higher |")

@@ -17,7 +17,7 @@ def test_a_trained_agent_is_recorded_with_its_velocities(tmp_path, capsys, agent
     assert code == 0, error
     code, printed, error = call(capsys, "record", str(out), "--out", str(tmp_path / "episode.html"))
     assert code == 0, error
-    assert "1000 primitives, return -100" in printed
+    assert "500 primitives, return -50" in printed
 
 
 def test_sets_of_rooms_have_no_velocities(capsys):
