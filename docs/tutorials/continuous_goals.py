@@ -33,8 +33,8 @@ def draw(paths, points=()):
 draw([], [(starts, "start"), (goals, "goal")])
 
 # 64 mazes step at once as tensors. HAC learns at two levels: the upper level sets a point as goal for up to ten steps,
-# the lower level chooses velocities. Both learn in hindsight. The budget here is small: the
-# measured runs on the page of HAC have eight times as much.
+# the lower level chooses velocities. Both learn in hindsight. The budget here is small: the measured runs
+# on the page of HAC have eight times as much.
 
 many = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=64, maze="u", max_steps=60)
 settings = {"hidden": [32, 32], "max_updates": 2, "warmup": 500}
