@@ -37,7 +37,6 @@ __all__ = ["LINES", "Args", "CanonRun", "Contrast", "Family", "analyse", "choose
            "list_families", "measure"]
 
 FLAT_FAMILIES = ("planned presses", "structure learned over presses", "task hierarchies, planned low level")
-HIERARCHIES = ("options learned over presses", "goals over presses")
 REFERENCE_EPISODES = 20
 """Episodes of agents that do not learn; some are random."""
 
@@ -405,9 +404,7 @@ def analyse(study: Study, lines: Sequence[CanonRun]) -> Findings:
             ["learner", "label", "settings", "progress", "success rate", "first escape",
              f"efficiency of {data['efficient']:g}", "seconds"],
             [list(describe_course(family, label, found)) for family in found.families for label in family.learners]),
-    }, {"canon": partial(draw_controls, controls),
-        "canon-flat": partial(draw_means, found, FLAT_FAMILIES),
-        "canon-hierarchies": partial(draw_means, found, HIERARCHIES)})
+    }, {"canon-flat": partial(draw_means, found, FLAT_FAMILIES)})
 
 
 def name_learner(label: str) -> str:
@@ -447,22 +444,6 @@ def describe_course(family: Family, label: str, found: Standing) -> Iterator[str
         came, middle = sum(map(math.isfinite, waits)), waits[len(waits) // 2]
         yield f"{f'{middle:,}' if math.isfinite(middle) else 'not in half'} ({came} of {len(runs)})"
     yield f"{np.mean([run.seconds for run in runs]):.1f}"
-
-
-def draw_controls(controls: Sequence[Contrast], theme: Theme) -> Figure:
-    """Difference of each hierarchy from its flat control with its interval, the largest at the top."""
-    ordered = sorted(controls, key=lambda each: each.found.mean)
-
-    def paint(axes: Axes) -> None:
-        for row, each in enumerate(ordered):
-            colour = {1: theme.lines[0], -1: theme.lines[2], 0: theme.muted}[each.found.sign]
-            axes.plot([each.found.low, each.found.high], [row, row], color=colour, linewidth=1.8)
-            axes.plot(each.found.mean, row, "o", color=colour, markersize=5)
-        axes.axvline(0, color=theme.ink, linewidth=0.8)
-        axes.set_yticks(range(len(ordered)), [shorten(each.agent) for each in ordered])
-        axes.set(xlabel="difference in efficiency from the flat control", ylim=(-0.6, len(ordered) - 0.4))
-
-    return make_figure(theme, paint, height=5.4, grid="x")
 
 
 def draw_means(found: Standing, families: Sequence[str], theme: Theme) -> Figure:

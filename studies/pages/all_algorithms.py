@@ -8,12 +8,8 @@ STUDIES = ("canon", "hierarchies", "learned", "intra-option")
 MODELS = ("smdp-r-max", "smdp-factored-r-max", "smdp-met-r-max", "smdp-vigorito-barto", "smdp-monte-carlo-model")
 GIVEN = ("maxq-q+planned", "hamq+planned", "h-dqn@table+planned")
 RULES: Rules = {
-    "no-hierarchy-gains": lambda n: (len(n.canon.controls) == 22
-                                     and not any(found.sign > 0 for found in n.canon.controls.values())),
-    "learn-a-model": lambda n: (min(n.canon.means["smdp-r-max"].values()) > 0.9
-                                and not any(n.canon.controls[label].sign > 0 for label in MODELS[1:])),
-    "controls": lambda n: (sum(found.sign < 0 for found in n.canon.controls.values()) == 13
-                           and sum(not found.sign for found in n.canon.controls.values()) == 9),
+    "bounded": lambda n: min(n.canon.means["smdp-r-max"].values()) > 0.9,
+    "learn-a-model": lambda n: min(n.canon.means["smdp-r-max"].values()) > 0.9,
     "models-lead": lambda n: min(min(n.canon.means[label].values()) for label in MODELS) > 0.85,
     "networks-fall": lambda n: all(n.canon.means[label]["ladder-2/violations-4"] < 0.3 and
                                    n.canon.means[label]["ladder-1/lattice"] < 0.4 for label in
@@ -21,22 +17,11 @@ RULES: Rules = {
     "beyond-search": lambda n: sum(found.sign > 0 for found in n.canon.beyond.values()) == 7,
     "given-lead": lambda n: all(min(n.canon.means[label].values()) > 0.9 for label in GIVEN),
     "moves-fail": lambda n: (n.canon.lost_moves, n.canon.moves) == (19, 27) and n.canon.most_of_moves < 0.25,
-    "planned-low-level": lambda n: all(each.is_better for each in
-                                       n.hierarchies.questions["Planned low level"].values()),
     "structure-alone": lambda n: not any(n.hierarchies.success[agent] for each in
                                          n.hierarchies.questions["Structure alone"].values()
                                          for agent in (each.agent, each.other)),
     "structure-given": lambda n: all(each.is_better for each in n.hierarchies.questions[
         "Structure where a planner walks anyway"].values()),
-    "no-learned-option-gains": lambda n: not any(
-        each.is_better for name, own in n.learned.questions.items() if name.startswith("Options and skills")
-        for each in own.values()),
-    "structure-in-one-room": lambda n: {agent for agent, each in n.learned.questions["Structure"].items()
-                                        if each.is_better} == {"smdp-factored-r-max", "smdp-monte-carlo-model"},
-    "best-learned-option": lambda n: n.learned.best.option == "smdp-hrc" and n.learned.best.place.high < 0.4,
-    "intra-option-reactive": lambda n: not any(
-        each.is_better or each.is_worse for each in
-        n.intra_option.questions["Learning inside options that are functions of the state"].values()),
     "intra-option-equal": lambda n: all(
         each.is_same for each in n.intra_option.questions["Learning inside options that follow plans"].values()),
 }

@@ -105,7 +105,18 @@ def test_hierarchies_are_compared_with_their_flat_controls(usual_numbers: Any):
     found = read(make_lines(change({CRITIC: 0.6, DAC: 0.1}))).controls
     assert {label: each.sign for label, each in found.items() if each.sign} == {CRITIC: 1, DAC: -1}
     assert len(found) == 23 and not any(each.sign for each in usual_numbers.controls.values())
-    assert not RULES["no-hierarchy-gains"](SimpleNamespace(canon=SimpleNamespace(controls=found)))
+
+
+@pytest.mark.parametrize(("lowest", "holds"), [(0.91, True), (0.89, False)])
+def test_hierarchies_are_called_bounded_only_where_a_flat_learner_leaves_little(lowest: float, holds: bool):
+    numbers = SimpleNamespace(canon=SimpleNamespace(means={"smdp-r-max": {PAIR: lowest, FIVE: 0.95}}))
+    assert RULES["bounded"](numbers) == RULES["learn-a-model"](numbers) == holds
+
+
+@pytest.mark.parametrize(("lost", "most", "holds"), [(19, 0.22, True), (18, 0.22, False), (19, 0.3, False)])
+def test_learners_of_moves_are_called_a_floor_only_where_they_end_there(lost: int, most: float, holds: bool):
+    numbers = SimpleNamespace(canon=SimpleNamespace(lost_moves=lost, moves=27, most_of_moves=most))
+    assert RULES["moves-fail"](numbers) == holds
 
 
 @pytest.mark.nightly
