@@ -185,14 +185,19 @@ def check_form(text: str, claims: Iterable[str]) -> list[str]:
     return failures
 
 
-def publish(page: ResultPage, docs: Path) -> None:
-    """Write a page and its figures, in both themes, from committed raw data.
+def publish(page: ResultPage, docs: Path, findings: Mapping[str, Findings] | None = None) -> None:
+    """Write a page and its figures, in both themes.
+
+    Args:
+        page: to write.
+        docs: folder that takes page and figures.
+        findings: of each of its studies, by name; by default from committed raw data.
 
     Raises:
         UnsupportedClaimError: see `render_page`.
         FileWriteError: a file cannot be written.
     """
-    findings = {name: load_findings(name) for name in page.studies}
+    findings = {name: load_findings(name) for name in page.studies} if findings is None else findings
     text, shown = render_page(page, findings)
     drawings = {name: draw for found in findings.values() for name, draw in found.figures.items()}
     for name in shown:

@@ -20,13 +20,14 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from benchmarks.leaderboard.page import RESULTS, write_page
+from benchmarks.leaderboard.page import RESULTS, make_page, read_rows, summarise
 from benchmarks.leaderboard.results import Result, check, load, make, pack
 from hrl_escape.benchmark.agent_archive import RoomResult, describe_score, find_rung
 from hrl_escape.cli import run_script
-from hrl_escape.files import read_toml, write_text
+from hrl_escape.files import read_toml
 from hrl_escape.names import count_nouns, make_console_text
 from hrl_escape.sets.benchmark import load_benchmark
+from studies.publishing import publish
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,16 +70,17 @@ class Check:
 class Page:
     """Options of `page`."""
 
-    out: Path = RESULTS.parent / "README.md"
-    """Page to write."""
+    docs: Path = Path("docs/results")
+    """Folder that takes the page and its figure."""
 
 
 def run(args: Run | Check | Page) -> int:
     """Make or check a result file, or write the page."""
     console = Console(soft_wrap=True, highlight=False)
     if isinstance(args, Page):
-        write_text(args.out, write_page(RESULTS))
-        console.print(f"wrote {make_console_text(str(args.out))}")
+        page = make_page()
+        publish(page, args.docs, {"leaderboard": summarise(read_rows(RESULTS))})
+        console.print(f"wrote {make_console_text(str(args.docs / page.name))}.md")
         return 0
     return _make(args, console) if isinstance(args, Run) else _check(args, console)
 

@@ -6,11 +6,13 @@ import dataclasses
 import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from benchmarks.leaderboard import program
-from benchmarks.leaderboard.page import RESULTS, Row, conclude, write_page
+from benchmarks.leaderboard.page import CUED, RESULTS, RULES, UNCUED, Row, read_rows, summarise
 from benchmarks.leaderboard.program import ProgramAgent
 from benchmarks.leaderboard.results import Result, check, load, make
 from hrl_escape.benchmark.agent_archive import RoomView
@@ -22,6 +24,7 @@ from tests.benchmark.trained import CARD, get_rung, make_bench, make_card
 from tests.command_line import call_script
 
 STARTER = RESULTS.parent / "starter"
+PAGES = Path(__file__).parents[2] / "docs" / "results"
 PYTHON = {**CARD, "command": ["python", "agent.py"]}
 ANSWER = "import sys\nfor line in sys.stdin: print(0, flush=True)\n"
 
@@ -36,23 +39,37 @@ def write_program(folder: Path, code: str) -> str:
 
 
 def test_the_page_is_what_the_command_makes(tmp_path, capsys):
-    code, _, _ = call_script(capsys, "benchmarks.leaderboard.__main__", "page", "--out", tmp_path / "page.md")
-    assert code == 0 and (tmp_path / "page.md").read_text() == (RESULTS.parent / "README.md").read_text()
+    code, _, _ = call_script(capsys, "benchmarks.leaderboard.__main__", "page", "--docs", tmp_path)
+    assert code == 0 and (tmp_path / "leaderboard.md").read_text() == (PAGES / "leaderboard.md").read_text()
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"leaderboard.svg", "leaderboard-dark.svg"}
+    assert all((PAGES / "figures" / path.name).is_file() for path in (tmp_path / "figures").iterdir())
 
 
-def make_row(name: str, value: float, agent: str = "", reach: float = 0.05) -> Row:
-    return Row(name, (), Estimate(value, value - reach, value + reach), agent)
+def make_row(name: str, value: float, agent: str = "") -> Row:
+    rooms = np.full(8, value) + np.tile([-0.02, 0.02], 4) * (agent != "search-nearest")
+    return Row(name, ("",) * 6, Estimate(value, value - 0.05, value + 0.05), rooms, agent)
 
 
-def test_the_sentence_of_a_rung_follows_its_rows():
-    nearest, lower = make_row("nearest", 0.7, "search-nearest"), make_row("dark", 0.5, "search-random")
-    rows = [nearest, lower, make_row("bayes", 0.98, "bayes")]
-    assert conclude([*rows, make_row("mine", 0.9)]) == "mine is more efficient than the best search baseline."
-    for value in (0.72, 0.3):
-        assert conclude([*rows, make_row("mine", value)]).startswith("No significant difference between the best agent")
-    assert "agent, yours, and" in conclude([lower, nearest, make_row("mine", 0.3), make_row("yours", 0.6)])
-    assert conclude(rows) == conclude([make_row("mine", 0.9)])
-    assert conclude(rows).startswith("No comparison")
+def make_numbers(cued: list[Row], uncued: list[Row]) -> SimpleNamespace:
+    return SimpleNamespace(leaderboard=summarise({CUED: cued, UNCUED: uncued}).numbers)
+
+
+def test_claims_break_where_entries_refute_them():
+    search, planner = make_row("nearest", 0.7, "search-nearest"), make_row("bayes", 0.98, "bayes")
+    mine = make_row("mine", 0.97)
+    holding = make_numbers([planner, mine, search], [planner, search])
+    assert all(rule(holding) for rule in RULES.values())
+    for value in (0.71, 0.9):
+        found = make_numbers([planner, make_row("mine", value), search], [planner, search])
+        assert not RULES["counting-reaches-the-planner"](found), "no better than search, or below the planner"
+    assert not RULES["open-without-cues"](make_numbers([planner, mine, search], [planner, mine, search]))
+
+
+def test_an_entry_is_compared_room_by_room_with_the_best_search_baseline():
+    lower, search = make_row("dark", 0.5, "search-random"), make_row("nearest", 0.7, "search-nearest")
+    table = summarise({CUED: [make_row("mine", 0.9), search, lower]}).numbers.rungs[CUED].table
+    assert "| mine |  | 0.900 (0.850 to 0.950) | +0.20 (+0.18 to +0.22) |" in table
+    assert "| nearest |  | 0.700 (0.650 to 0.750) |  |" in table
 
 
 def test_text_of_a_card_is_no_markup(tmp_path):
@@ -60,10 +77,11 @@ def test_text_of_a_card_is_no_markup(tmp_path):
     card = dataclasses.replace(found.card, name="<b>|x|</b> [a](b)*", authors=("`me`",), information="{{ 7 * 7 }} $x$",
                                link="https://example.org/a")
     Result(card, found.results).save(tmp_path / "it.json")
-    line = next(line for line in write_page(tmp_path).splitlines() if "example.org" in line)
-    assert line.count("|") == 9 and not set("<>`{}*$") & set(line) and "](https://example.org/a)" in line
+    (rung,) = summarise(read_rows(tmp_path)).numbers.rungs.values()
+    line = next(line for line in rung.table.splitlines() if "example.org" in line)
+    assert line.count("|") == 10 and not set("<>`{}*$") & set(line) and "](https://example.org/a)" in line
     Result(dataclasses.replace(found.card, rooms=1), found.results[:1]).save(tmp_path / "it.json")
-    assert "|---|" not in write_page(tmp_path), "results of some rooms are not listed"
+    assert not read_rows(tmp_path), "results of some rooms are not listed"
 
 
 # --- result files -----------------------------------------------------------------------

@@ -20,8 +20,8 @@ HEADLINE = ("When wrong presses reset all buttons, only agents with learned depe
 """Finding of the README."""
 
 
-def test_every_page_of_results_but_the_index_is_published_by_the_studies():
-    assert {path.stem for path in RESULTS.glob("*.md")} - {"index"} == set(list_pages())
+def test_every_page_of_results_but_the_index_is_published_by_the_studies_or_the_leaderboard():
+    assert {path.stem for path in RESULTS.glob("*.md")} - {"index"} == {*list_pages(), "leaderboard"}
 
 
 @pytest.fixture
