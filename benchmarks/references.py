@@ -5,7 +5,8 @@
     python -m benchmarks.references choose benchmarks/ladder-2.toml
 
 To measure is to play an episode in each of the first test rooms: random choices, the search baselines, the
-planner, and `bayes` where all graphs can be listed. What was measured before is kept.
+planner, and `bayes` where all puzzles can be listed. Where nothing is hidden, the planner stands for `bayes`. What was
+measured before is kept.
 
 To choose is to go along each axis of a profile, whose candidates stand from easy to hard, and to measure its yardstick
 in rooms that are in no set: the best search baseline, or random moves. Rung by rung, the candidate with the efficiency
@@ -25,15 +26,18 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.spec import BAYES, ORACLE, AgentSpec
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.benchmark.agent_env import make_agent_env
+from hrl_escape.benchmark.references.bayes import SHOWN
 from hrl_escape.benchmark.references.graph_family import GraphFamily, condition_on_room, make_family
 from hrl_escape.benchmark.references.registry import SEARCH_METHODS, make_reference
-from hrl_escape.benchmark.rung_references import RungReferences
-from hrl_escape.benchmark.statistics import compute_mean_efficiency
+from hrl_escape.benchmark.rung_references import RungReferences, load_references
+from hrl_escape.benchmark.standings import compute_headroom
+from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.env.config import RoomConfig
@@ -76,8 +80,8 @@ class Choose:
     """Axes to measure; all by default. The manifest is written once all are known."""
 
 
-def play(agent: str, rooms: InstanceSet) -> float | None:
-    """Mean efficiency of a reference over an episode in each room, or None if the puzzle does not suit it."""
+def play(agent: str, rooms: InstanceSet) -> NDArray[np.float64] | None:
+    """Efficiency of a reference in an episode in each room, (rooms,), or None if the puzzle does not suit it."""
     spec = AgentSpec.parse(agent)
     fewest = [find_best_known(room, list_start_states(room)[0]).primitives or math.nan for room in rooms]
     order = {str(compute_episode_seed(0, "evaluation", number)): number for number in range(len(rooms))}
@@ -89,7 +93,12 @@ def play(agent: str, rooms: InstanceSet) -> float | None:
             found = evaluate(player, env, len(rooms))
     except UnsupportedError:
         return None
-    return round(compute_mean_efficiency(found.escaped, found.lengths, fewest, is_expected=False), 4)
+    return compute_efficiency(found.escaped, found.lengths, fewest).clip(max=1.0)
+
+
+def average(scores: NDArray[np.float64]) -> float:
+    """Mean over rooms, as it is written."""
+    return round(float(scores.mean()), 4)
 
 
 def compute_entropy(family: GraphFamily) -> float:
@@ -113,27 +122,46 @@ def measure_information(config: ButtonsConfig, rooms: Sequence[RoomInstance]) ->
 
 def measure_rung(rung: Rung, rooms: int) -> RungReferences:
     """References in the first test rooms."""
+    tested = rung.test[:rooms]
+    scores = {agent: found for agent in (CHANCE, *SEARCH_METHODS, ORACLE) if (found := play(agent, tested)) is not None}
+    by = max((name for name in SEARCH_METHODS if name in scores), key=lambda name: scores[name].mean())
+    found = RungReferences(average(scores[CHANCE]), average(scores[by]), by, average(scores[ORACLE]))
+    return measure_bayes(rung, rooms, found, scores[by])
+
+
+def measure_bayes(rung: Rung, rooms: int, known: RungReferences, search: NDArray[np.float64] | None = None
+                  ) -> RungReferences:
+    """Add the Bayes planner, where it is exact, and its lead over the best search baseline, (rooms,)."""
     tested, puzzle = rung.test[:rooms], rung.config.puzzle
-    found = {agent: play(agent, tested) for agent in (CHANCE, *SEARCH_METHODS, ORACLE)}
-    search, by = max((value, name) for name in SEARCH_METHODS if (value := found[name]) is not None)
-    bayes = told = hidden = None
+    told = hidden = None
     if isinstance(puzzle, ButtonsConfig):
         try:
             told, hidden = (round(bits, 3) for bits in measure_information(puzzle, tested))
-            bayes = play(BAYES, tested)
         except UnsupportedError:
-            pass  # too many graphs: the Bayes planner would sample
-    return RungReferences(found[CHANCE] or 0.0, search, by, found[ORACLE] or 0.0, bayes, told, hidden)
+            return known  # too many graphs: the Bayes planner would sample
+    scores = np.ones(len(tested)) if isinstance(puzzle, SHOWN) else play(BAYES, tested)
+    search = play(known.by, tested) if search is None else search
+    if scores is None or search is None:
+        return known
+    gap = compute_headroom(search, scores)
+    return dataclasses.replace(known, bayes=average(scores), told=told, hidden=hidden,
+                               headroom=tuple(round(value, 4) for value in gap))
 
 
 def measure(args: Measure) -> int:
     """Write the references of a benchmark, rung by rung."""
     bench, path = load_benchmark(args.benchmark), _FOLDER / f"{args.benchmark}.json"
-    known = _read(path)
-    for rung in [bench[name] for name in args.rung] or [rung for rung in bench if rung.name not in known]:
-        found = measure_rung(rung, args.rooms)
-        known[rung.name] = {name: value for name, value in dataclasses.asdict(found).items() if value is not None}
-        write_json(path, {own.name: known[own.name] for own in bench if own.name in known}, indent=1)
+    table = _read(path)
+    for rung in [bench[name] for name in args.rung] or list(bench):
+        known = None if args.rung or rung.name not in table else load_references(args.benchmark)[rung.name]
+        if known is None:
+            found = measure_rung(rung, args.rooms)
+        elif known.headroom is None:
+            found = measure_bayes(rung, args.rooms, known)
+        else:
+            continue
+        table[rung.name] = {name: value for name, value in dataclasses.asdict(found).items() if value is not None}
+        write_json(path, {own.name: table[own.name] for own in bench if own.name in table}, indent=1)
         print(f"{rung.name}: {found}", flush=True)
     return 0
 
@@ -175,7 +203,7 @@ def measure_candidates(data: Mapping[str, Any], axis: Mapping[str, Any], known: 
         rooms = InstanceSet(place, config, [derive_seed(data["name"], place, "calibration", index)
                                             for index in range(data["rooms"])])
         found = {agent: play(agent, rooms) for agent in YARDSTICKS[axis["yardstick"]]}
-        known[place] = {agent: value for agent, value in found.items() if value is not None}
+        known[place] = {agent: average(scores) for agent, scores in found.items() if scores is not None}
         yield f"{place}: {known[place]}"
 
 

@@ -20,9 +20,11 @@ class RungReferences:
     search: float  # of the best search baseline
     by: str  # its name
     oracle: float  # of the oracle; below 1 only if presses fail at random
-    bayes: float | None = None  # of the Bayes planner, or None if graphs cannot be listed
+    bayes: float | None = None  # of the Bayes planner where it is exact; of the oracle where nothing is hidden
     told: float | None = None  # bits of the graph that cues reveal, or None if graphs cannot be listed
     hidden: float | None = None  # bits of the graph
+    headroom: tuple[float, float, float] | None = None
+    """Bayes planner minus the best search baseline, with the ends of its interval for unseen rooms."""
 
 
 def load_references(benchmark: str) -> dict[str, RungReferences]:

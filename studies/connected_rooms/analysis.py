@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -106,11 +107,12 @@ def run_job(job: ConnectedRun, data: Mapping[str, Any], cache: Path) -> Connecte
     try:
         fewest = compute_score_range(find_starts(env, recorder, seeds), spec, cache).fewest
         if job.rooms:
-            envs = _make_envs(data["benchmark"], job.rung, job.rooms, data["copies"])
+            envs = _make_envs(data["benchmark"], job.rung, job.rooms, data["copies"], data["compile"])
             result = train(spec, envs, primitives=data["primitives"], seed=job.seed, eval_episodes=0, progress=False,
                            observed=False)
             primitives = result.primitives
-            escaped, lengths = play_many(result.agent, _make_tests(data["benchmark"], job.rung, len(tested)))
+            tests = _make_tests(data["benchmark"], job.rung, len(tested), data["compile"])
+            escaped, lengths = play_many(result.agent, tests)
         else:
             played = evaluate(make_reference(spec.name, env, recorder), env, len(seeds))
             primitives, escaped, lengths = 0, played.escaped, np.array(played.lengths)
@@ -122,19 +124,21 @@ def run_job(job: ConnectedRun, data: Mapping[str, Any], cache: Path) -> Connecte
 
 
 @lru_cache(maxsize=1)
-def _make_envs(benchmark: str, rung: str, count: int, copies: int) -> VectorDecisionMemory:
+def _make_envs(benchmark: str, rung: str, count: int, copies: int, is_compiled: bool) -> VectorDecisionMemory:
     """Copies that draw one of the training rooms in each episode; all training seeds share them."""
     rooms = load_benchmark(benchmark)[rung].train[:count]
     return VectorDecisionMemory(BatchedOptionsEnv(copies, instance=list(rooms), resample_instance=True,
-                                                  observation="objects", include_primitives=False))
+                                                  observation="objects", include_primitives=False,
+                                                  compile=is_compiled))
 
 
 @lru_cache(maxsize=1)
-def _make_tests(benchmark: str, rung: str, count: int) -> VectorDecisionMemory:
+def _make_tests(benchmark: str, rung: str, count: int, is_compiled: bool) -> VectorDecisionMemory:
     """One copy of each test room, which waits where its episode has ended."""
     rooms = load_benchmark(benchmark)[rung].test[:count]
     return VectorDecisionMemory(BatchedOptionsEnv(len(rooms), instance=list(rooms), autoreset=False,
-                                                  observation="objects", include_primitives=False))
+                                                  observation="objects", include_primitives=False,
+                                                  compile=is_compiled))
 
 
 def play_many(agent: Agent, envs: VectorDecisionMemory) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
@@ -164,30 +168,41 @@ def play_many(agent: Agent, envs: VectorDecisionMemory) -> tuple[NDArray[np.bool
 def analyse(study: Study, lines: Sequence[ConnectedRun]) -> Findings:
     """Efficiency by rung with intervals over rooms, and over training seeds where there are enough.
 
+    Rungs without all references are left out.
+
     Raises:
-        ComparisonError: a reference is missing.
+        ComparisonError: no rung has all references.
     """
     data, found = study.data, {}
-    cells = {(line.rung, line.agent, line.rooms): [] for line in lines}
+    cells: dict[tuple[str, str, int], list[tuple[float, ...]]] = {
+        (line.rung, line.agent, line.rooms): [] for line in lines}
     for line in sorted(lines, key=lambda line: line.seed):
         cells[line.rung, line.agent, line.rooms].append(line.efficiencies)
     for rung in data["rungs"]:
-        if any((rung, agent, 0) not in cells for agent in (*data["searches"], data["planner"])):
-            raise ComparisonError(f"{rung} lacks a reference: run this study with --references")
-        found[rung] = _summarise(data, {(agent, rooms): np.array(runs).T for (own, agent, rooms), runs in cells.items()
-                                        if own == rung})
+        if all((rung, agent, 0) in cells for agent in (*data["searches"], data["planner"])):
+            found[rung] = _summarise(data, {(agent, rooms): np.array(runs).T
+                                            for (own, agent, rooms), runs in cells.items() if own == rung})
+    if not found:
+        raise ComparisonError("every rung lacks a reference: run this study with --references")
     rows = [[f"`{rung}`", *(f"{own.means[agent]:.2f}" for agent in (*data["searches"], data["planner"])),
              f"{own.headroom:+.2f}"] for rung, own in found.items()]
     names = [find_title(agent) for agent in (*data["searches"], data["planner"])]
     learned = [[f"`{rung}`", rooms, own.runs[rooms], *(f"{value:{form}}" for value, form in (
         (own.learned[rooms], ".2f"), (own.gains[rooms], "+.2f")))]
         for rung, own in found.items() for rooms in own.learned]
-    seconds = sum(line.seconds for line in lines)
     return Findings(
-        SimpleNamespace(rungs=found, rooms=data["tested"], minutes=seconds / 60, data=data),
+        SimpleNamespace(rungs=found, rooms=data["tested"], minutes=sum(line.seconds for line in lines) / 60, data=data),
         {"connected": make_table(["rung", *names, "Bayes planner minus the best search baseline"], rows),
-         "connected_learner": make_table(["rung", "training rooms", "runs", "PPO over options, with memory",
-                                          "minus the best search baseline"], learned)})
+         "connected_learner": make_table(["rung", "training rooms", "runs", find_title(data["learner"]),
+                                          "minus the best search baseline"], learned),
+         "connected_missing": make_table(["rung", "agent", "training rooms", "runs"], _list_missing(data, lines))})
+
+
+def _list_missing(data: Mapping[str, Any], lines: Sequence[ConnectedRun]) -> list[list[Any]]:
+    """Rows of the runs that are not made."""
+    known = {line.place for line in lines}
+    missing = Counter((job.rung, job.agent, job.rooms) for job in list_jobs(data) if job.place not in known)
+    return [[f"`{rung}`", find_title(agent), rooms or "", runs] for (rung, agent, rooms), runs in missing.items()]
 
 
 def _summarise(data: Mapping[str, Any], cells: Mapping[tuple[str, int], NDArray[np.float64]]) -> SimpleNamespace:

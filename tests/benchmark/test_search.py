@@ -256,6 +256,15 @@ def foretell(room: RoomInstance, puzzle: Any) -> float:
 
 
 @pytest.mark.nightly
+def test_who_knows_the_odds_goes_on_where_an_inner_door_bars_the_open_exit():
+    """The goal lights fifth in this room, and another button opens the way to the exit."""
+    env, recorder = make_agent_env(AgentSpec(BAYES), load_benchmark("ladder-1")["doors"].test[40], "features")
+    found = evaluate(make_reference(BAYES, env, recorder), env, 1)
+    env.close()
+    assert found.successes == (True,)
+
+
+@pytest.mark.nightly
 def test_where_graphs_are_too_many_a_sample_has_their_odds():
     puzzle, count = LADDER["lattice-5"].config.puzzle, 5
     assert isinstance(puzzle, ButtonsConfig)
@@ -447,4 +456,4 @@ def test_who_reads_marks_needs_less_in_the_same_rooms_than_who_cannot(monkeypatc
 
 def test_bayes_says_where_it_has_no_beliefs():
     with pytest.raises(UnsupportedError, match=r"use search-backtrack"):
-        play(BAYES, generate(get_preset("lights-out"), 0))
+        play(BAYES, generate(get_preset("pin-pad"), 0))

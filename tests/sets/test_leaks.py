@@ -13,9 +13,15 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, PositionalCuesConfig
 from hrl_escape.env.puzzles.cues import CUE_WORDS, CuesConfig, compute_depths
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
 
 COUNT, LEVELS, NO_SECTIONS = 4, 4, PositionalCuesConfig()
+RUNGS = [*((benchmark, rung.name) for benchmark in ("cues-1", "families-1") for rung in load_benchmark(benchmark)),
+         *(("ladder-2", rung.name) for rung in load_benchmark("ladder-2")
+           if isinstance(rung.config.puzzle, ButtonsConfig) and rung.config.puzzle.count > 1),
+         *(("ladder-1", rung) for rung in ("chain-3", "chain-4", "lattice-5", "lattice-6", "lattice-7", "lattice-8"))]
+"""Rungs of buttons whose rooms have equal numbers of them."""
 
 
 def make_set(cues: CuesConfig, rooms: int, sections: PositionalCuesConfig = NO_SECTIONS) -> InstanceSet:
@@ -27,41 +33,47 @@ def make_set(cues: CuesConfig, rooms: int, sections: PositionalCuesConfig = NO_S
     return InstanceSet("leaks", config, list(range(rooms)))
 
 
-def list_numbers(observation: NDArray[np.float32], info: dict, width: int) -> NDArray[np.float64]:
+def list_numbers(observation: NDArray[np.float32], info: dict, width: int, count: int) -> NDArray[np.float64]:
     """All that an agent could read about each button, (buttons, numbers): its row, its number, its option's mask."""
-    rows = observation[: COUNT * width].reshape(COUNT, width)
-    rest = np.concatenate([observation[COUNT * width:], np.ravel(info["action_mask"][-1:])])
-    numbers = [rows, np.arange(COUNT)[:, None], info["action_mask"][-1 - COUNT:-1, None], np.tile(rest, (COUNT, 1))]
+    rows = observation[: count * width].reshape(count, width)
+    rest = np.concatenate([observation[count * width:], np.ravel(info["action_mask"][-1:])])
+    numbers = [rows, np.arange(count)[:, None], info["action_mask"][-1 - count:-1, None], np.tile(rest, (count, 1))]
     for name in ("primitives", "instance"):
-        numbers.append(np.full((COUNT, 1), float(info[name])))
-    numbers += [np.array(info[name], float)[:COUNT, None] for name in ("pressed", "buttons_on")]
+        numbers.append(np.full((count, 1), float(info[name])))
+    numbers += [np.array(info[name], float)[:count, None] for name in ("pressed", "buttons_on")]
     return np.concatenate(numbers, axis=1)
 
 
 def look(rooms: InstanceSet) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]:
     """Numbers of every button of every room, (rooms, buttons, numbers), its depth, and what it is meant to tell.
 
-    That is the class of its mark, or with sections how many buttons hang in places that come before its own.
+    That is the class of its mark, or with sections how many buttons hang in places that come before its own, or in a
+    family of graphs its number. Cues that name others are compared by symbol, and those of controls tell nothing.
 
     The last number is that of the button's symbol, which beyond its class is to tell nothing, as are those of the mark
     that are not kept. Every room is entered once by number, in an order that says nothing.
     """
     env = rooms.make_env(options=True, observation="objects")
     width, puzzle_config = len(env.observation_space.words), rooms.config.puzzle
-    rules, sections = puzzle_config.cues, puzzle_config.positional_cues
-    kept = [number for number, word in enumerate(env.observation_space.words) if word not in CUE_WORDS]
+    rules, sections, count = puzzle_config.cues, puzzle_config.positional_cues, puzzle_config.count
+    kept = [number for number, word in enumerate(env.observation_space.words)
+            if word not in CUE_WORDS or rules.shuffled]
     found, depths, classes = [], [], []
     for index in np.random.default_rng(0).permutation(len(rooms)).tolist():
         observation, info = env.reset(seed=index, options={"instance_index": index})
-        numbers = list_numbers(observation, info, width)
+        numbers = list_numbers(observation, info, width, count)
         puzzle, targets = env.unwrapped.instance.puzzle, env.unwrapped.instance.targets
-        symbols = np.array(puzzle.cues or np.zeros(COUNT))[:, None]
-        found.append(np.concatenate([numbers[:, kept], numbers[:, width:], symbols], axis=1))
-        depths.append(compute_depths(COUNT, puzzle.edge_list))
+        symbols = np.array(puzzle.cues or np.zeros(count))
+        found.append(np.concatenate([numbers[:, kept], numbers[:, width:], symbols[:, None]], axis=1))
+        depths.append(compute_depths(count, puzzle.edge_list))
         if sections.sections:
             classes.append(np.argsort(sections.sort_places([(target.x, target.y) for target in targets])))
+        elif puzzle_config.graph.family:
+            classes.append(np.arange(count))
+        elif rules.shuffled or not puzzle.cues:
+            classes.append(np.zeros(count))
         else:
-            classes.append(rules.meanings[list(puzzle.cues)] if puzzle.cues else np.zeros(COUNT))
+            classes.append(symbols if rules.kind == "dependencies" else rules.meanings[list(puzzle.cues)])
     env.close()
     return np.array(found), np.array(depths), np.array(classes, dtype=np.int64)
 
@@ -95,7 +107,7 @@ def find_leaks(numbers: NDArray[np.float64], depths: NDArray[np.int64], classes:
 
 def measure(depths: NDArray[np.int64], cells: NDArray[np.int64], stratum: NDArray[np.int64]) -> NDArray[np.float64]:
     """Mutual information of cells and each row of depths within each stratum, times the number of buttons, nats."""
-    shape = (len(depths), int(stratum.max()) + 1, int(cells.max()) + 1, LEVELS)
+    shape = (len(depths), int(stratum.max()) + 1, int(cells.max()) + 1, int(depths.max()) + 1)
     places = np.ravel_multi_index((np.arange(len(depths))[:, None], stratum, cells, depths), shape)
     joint = np.bincount(places.ravel(), minlength=int(np.prod(shape))).reshape(shape)
     expected = joint.sum(axis=3, keepdims=True) * joint.sum(axis=2, keepdims=True) / np.maximum(
@@ -133,6 +145,15 @@ def test_nothing_tells_of_the_graph_before_the_first_press(kind, rooms):
 @pytest.mark.parametrize("kind", REGULARITIES)
 def test_nothing_tells_of_the_graph_in_two_thousand_rooms(kind):
     check(kind, 2_000, permutations=2_000)  # some 22 looks at numbers, of which chance exceeds all in 1 of 90
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "rung"), RUNGS, ids=["-".join(own) for own in RUNGS])
+def test_nothing_tells_of_the_graph_in_two_thousand_rooms_of_a_rung(name: str, rung: str):
+    """Rooms are of the rung's configuration and in no set."""
+    rooms = InstanceSet("leaks", load_benchmark(name)[rung].config, list(range(2_000)))
+    numbers, depths, classes = look(rooms)
+    assert int((np.ptp(numbers, axis=(0, 1)) > 0).sum()) >= 8 and find_leaks(numbers, depths, classes, 2_000) == []
 
 
 @pytest.mark.nightly

@@ -87,13 +87,17 @@ class _Draws:
         picked = self._pick(math.comb(len(items), count))
         return np.array(next(itertools.islice(itertools.combinations(items, count), picked, None)))
 
+    def permutation(self, count: int) -> NDArray[Any]:
+        picked = self._pick(math.factorial(count))
+        return np.array(next(itertools.islice(itertools.permutations(range(count)), picked, None)))
+
 
 def iterate_outcomes(draw: Callable[[Any], T]) -> Iterator[tuple[T, float]]:
     """Yield every result of a random function with its probability.
 
     Args:
-        draw: takes a generator and draws by `integers` and by `choice` without replacement. Its result must not depend
-            on the order of chosen items.
+        draw: takes a generator and draws by `integers`, `permutation`, and `choice` without replacement. Its result
+            must not depend on the order of chosen items.
     """
     outcomes: list[int] | None = []
     while outcomes is not None:

@@ -1,9 +1,10 @@
-"""Lengths of planned paths between the buttons of a room and its exit."""
+"""Lengths of planned paths between the targets of a room and its exit."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,21 +28,31 @@ class PathLengths:
     failure: float = 0.0  # cost of a failed puzzle
 
 
-def measure_paths(planner: RoomPlanner) -> PathLengths:
-    """Measure planned paths from button to button and to the exit, with all inner doors open.
+def measure_paths(planner: RoomPlanner, solved: Any = None) -> PathLengths:
+    """Measure planned paths from target to target and to the exit, with all inner doors open.
 
-    A place is the pose after pressing a button, coming from the start or from another button, because path lengths
-    depend on the initial heading. Its number is `before * buttons + button`; `before` is the number of buttons for the
+    A place is the pose after pressing a target, coming from the start or from another target, because path lengths
+    depend on the initial heading. Its number is `before * targets + target`; `before` is the number of targets for the
     start.
+
+    Args:
+        planner: of the room.
+        solved: state of the puzzle in which paths are planned; by default of buttons that are all on.
     """
     room = planner.instance
     count = len(room.targets)
     legs = np.full(((count + 1) * count, count), _NO_PATH, np.float32)
     leaving = np.full((count + 1) * count, _NO_PATH, np.float32)
-    start = planner.rules.make_state(room.starts[0])._replace(puzzle=(1 << count) - 1)
-    states = [*(walk_path(planner, start, PressGoal(target))[0] for target in range(count)), start]
-    for place, (before, button) in enumerate(itertools.product(states, range(count))):
-        state = before and walk_path(planner, before, PressGoal(button))[0]
+    solved = (1 << count) - 1 if solved is None else solved
+    start = planner.rules.make_state(room.starts[0])._replace(puzzle=solved)
+
+    def arrive(before: RoomState, target: int) -> RoomState | None:
+        state = walk_path(planner, before, PressGoal(target))[0]
+        return None if state is None else state._replace(puzzle=solved)
+
+    states = [*(arrive(start, target) for target in range(count)), start]
+    for place, (before, target) in enumerate(itertools.product(states, range(count))):
+        state = before and arrive(before, target)
         if state is not None:
             legs[place] = [walk_path(planner, state, PressGoal(other))[1] for other in range(count)]
             leaving[place] = walk_path(planner, state, ExitGoal())[1]
