@@ -111,6 +111,7 @@ def run_job(job: ConnectedRun, data: Mapping[str, Any], cache: Path) -> Connecte
             result = train(spec, envs, primitives=data["primitives"], seed=job.seed, eval_episodes=0, progress=False,
                            observed=False)
             primitives = result.primitives
+            assert result.agent is not None
             tests = _make_tests(data["benchmark"], job.rung, len(tested), data["compile"])
             escaped, lengths = play_many(result.agent, tests)
         else:
