@@ -13,7 +13,7 @@ from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.references.bayes import PuzzlePosterior
 from hrl_escape.benchmark.references.path_lengths import PathLengths
-from hrl_escape.benchmark.references.puzzle_beliefs import OPEN, PuzzleBeliefs, find_solved, list_puzzles
+from hrl_escape.benchmark.references.puzzle_beliefs import OPEN, PuzzleBeliefs, find_solved, list_drawn
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.codes import CodeLockConfig, CodeLockPuzzle
@@ -33,7 +33,7 @@ def make_box(count: int, success: float) -> LightBoxConfig:
 
 def count_presses(config: PuzzleConfig) -> float:
     """Fewest expected presses, one primitive each."""
-    beliefs = PuzzleBeliefs(list_puzzles(config))
+    beliefs = PuzzleBeliefs(list_drawn(config))
     count = beliefs.chances.shape[1]
     return float(beliefs.solve(PathLengths(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))[0, 0])
 
@@ -42,9 +42,9 @@ def count_presses(config: PuzzleConfig) -> float:
 
 
 def test_every_puzzle_is_listed_with_its_probability():
-    codes = list_puzzles(CodeLockConfig(digits=3, length=3))
+    codes = list_drawn(CodeLockConfig(digits=3, length=3))
     assert len(codes) == 3 * 2 * 2 and set(codes.values()) == {1 / 12}
-    boxes = list_puzzles(make_box(3, 0.5))
+    boxes = list_drawn(make_box(3, 0.5))
     assert len(boxes) == 6 and sum(boxes.values()) == pytest.approx(1)
     drawn = {make_box(3, 0.5).make_puzzle(np.random.default_rng(seed)) for seed in range(60)}
     assert drawn == boxes.keys()
@@ -81,7 +81,7 @@ def test_a_lock_costs_what_a_plain_recursion_over_codes_finds(digits: int, lengt
                                      for seen, part in parts.items() if seen != length))
         return best
 
-    codes = frozenset((puzzle.code, 0) for puzzle in list_puzzles(config) if isinstance(puzzle, CodeLockPuzzle))
+    codes = frozenset((puzzle.code, 0) for puzzle in list_drawn(config) if isinstance(puzzle, CodeLockPuzzle))
     assert count_presses(config) == pytest.approx(need(codes, 16), abs=0.02)
 
 
@@ -115,7 +115,7 @@ def test_without_noise_two_lights_need_two_presses_and_half():
 
 @pytest.mark.parametrize("config", [make_box(3, 0.5), CodeLockConfig(digits=3, length=3)], ids=["box", "lock"])
 def test_presses_of_the_best_policy_come_to_what_was_foretold(config: PuzzleConfig):
-    beliefs = PuzzleBeliefs(list_puzzles(config))
+    beliefs = PuzzleBeliefs(list_drawn(config))
     count = beliefs.chances.shape[1]
     costs = beliefs.solve(PathLengths(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))
     best = np.argmin([beliefs.compute_costs_after(costs, np.arange(len(beliefs)), target)[:, 0]
@@ -131,9 +131,9 @@ def test_presses_of_the_best_policy_come_to_what_was_foretold(config: PuzzleConf
 
 
 def test_more_beliefs_than_fit_are_refused(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("hrl_escape.benchmark.references.puzzle_beliefs.MOST_BELIEFS", 10)
+    monkeypatch.setattr("hrl_escape.benchmark.references.puzzle_beliefs.MOST_PUZZLE_BELIEFS", 10)
     with pytest.raises(UnsupportedError, match="more than 10 beliefs"):
-        PuzzleBeliefs(list_puzzles(CodeLockConfig(digits=3, length=3)))
+        PuzzleBeliefs(list_drawn(CodeLockConfig(digits=3, length=3)))
 
 
 # --- rooms -----------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ def test_over_all_codes_of_a_room_the_planner_needs_what_was_foretold():
     room, lengths = rung.test[0], []
     posterior, count = PuzzlePosterior(room, rung.config), len(room.targets)
     names = room.puzzle.target_names
-    for puzzle in list_puzzles(rung.config.puzzle):
+    for puzzle in list_drawn(rung.config.puzzle):
         posterior.forget()
         planner, primitives = RoomPlanner(dataclasses.replace(room, puzzle=puzzle)), 0.0
         state = planner.rules.make_state(room.starts[0])

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from hrl_escape.benchmark.inference import Estimate
 from hrl_escape.errors import ComparisonError
 from studies.baseline import BaselineRun
 from studies.generalisation.analysis import (
@@ -68,8 +69,9 @@ def make_lines(memory: tuple[float, float] = (0.6, 0.8), objects: float = 0.2, f
                             efficiency=0.7 if source == target else 0.5) for source in TRANSFER for target in TRANSFER]
 
 
-def find(**truth: Any) -> SimpleNamespace:
-    return SimpleNamespace(generalisation=analyse(STUDY, make_lines(**truth)).numbers)
+def find(doors: tuple[float, float, float] = (0.05, 0.02, 0.09), **truth: Any) -> SimpleNamespace:
+    connected = SimpleNamespace(rungs={"doors": SimpleNamespace(headroom=Estimate(*doors))})
+    return SimpleNamespace(generalisation=analyse(STUDY, make_lines(**truth)).numbers, connected_rooms=connected)
 
 
 def test_gains_are_those_of_the_lines():
@@ -87,6 +89,8 @@ def test_gains_are_those_of_the_lines():
     ({"bayes": 0.9}, {"little-headroom"}),
     ({"deep": 0.6}, {"depth-needs-memory"}),
     ({"flat": 0.1}, {"primitives-fail"}),
+    ({"doors": (0.05, -0.01, 0.11)}, {"doors-headroom"}),
+    ({"doors": (0.2, 0.15, 0.25)}, {"doors-headroom"}),
 ])
 def test_other_truths_break_the_rules(truth: dict[str, Any], broken: set[str]):
     numbers = find(**truth)

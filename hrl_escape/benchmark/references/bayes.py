@@ -31,7 +31,7 @@ from hrl_escape.benchmark.references.graph_family import (
 )
 from hrl_escape.benchmark.references.graph_particles import GraphParticles
 from hrl_escape.benchmark.references.path_lengths import measure_paths, walk_path
-from hrl_escape.benchmark.references.puzzle_beliefs import PuzzleBeliefs, find_solved, list_puzzles
+from hrl_escape.benchmark.references.puzzle_beliefs import PuzzleBeliefs, find_solved, list_drawn
 from hrl_escape.benchmark.references.search import SearchBaseline
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
@@ -57,7 +57,7 @@ _make_belief_graph = lru_cache(maxsize=8)(BeliefGraph)
 
 @lru_cache(maxsize=8)
 def _make_puzzle_beliefs(config: PuzzleConfig) -> PuzzleBeliefs:
-    return PuzzleBeliefs(list_puzzles(config))
+    return PuzzleBeliefs(list_drawn(config))
 
 
 class BayesPlanner(SearchBaseline):

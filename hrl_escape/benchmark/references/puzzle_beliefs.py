@@ -21,7 +21,7 @@ from hrl_escape.benchmark.references.path_lengths import PathLengths
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig
 from hrl_escape.errors import UnsupportedError
 
-MOST_BELIEFS = 200_000
+MOST_PUZZLE_BELIEFS = 200_000
 """Largest number of beliefs."""
 LEAST_ODDS = 1e-4
 """Odds, relative to the likeliest puzzle, below which a puzzle that noise only makes unlikely does not fall."""
@@ -30,11 +30,11 @@ OPEN = -1
 _GRID = 1000  # steps of log odds in a unit
 _CLOSE = 0.01  # primitives; value iteration ends at smaller changes
 
-Belief: TypeAlias = tuple[tuple[int, Any, int], ...]
+PuzzleOdds: TypeAlias = tuple[tuple[int, Any, int], ...]
 """(number of the puzzle, its state, log odds in steps below the likeliest) for each puzzle, in order."""
 
 
-def list_puzzles(config: PuzzleConfig) -> dict[Puzzle, float]:
+def list_drawn(config: PuzzleConfig) -> dict[Puzzle, float]:
     """Compute the probability of every puzzle that a configuration draws by `integers`, `choice` and `permutation`."""
     found: dict[Puzzle, float] = defaultdict(float)
     for puzzle, probability in iterate_outcomes(config.make_puzzle):
@@ -63,7 +63,7 @@ class PuzzleBeliefs:
         puzzles: puzzles that can be drawn, with their probabilities. They have the same targets.
 
     Raises:
-        UnsupportedError: more than `MOST_BELIEFS` beliefs.
+        UnsupportedError: more than `MOST_PUZZLE_BELIEFS` beliefs.
 
     Attributes:
         root: the belief before the first press.
@@ -77,9 +77,9 @@ class PuzzleBeliefs:
         unit = max((round(-math.log(1 - chance) * _GRID) for puzzle in puzzles for chance in puzzle.chances), default=1)
         self._limit = math.ceil(-math.log(LEAST_ODDS) * _GRID / unit) * unit  # so that odds are multiples of one press
         most = max(puzzles.values())
-        self.root: Belief = tuple((number, puzzle.make_state(), self._count_steps(weight / most))
+        self.root: PuzzleOdds = tuple((number, puzzle.make_state(), self._count_steps(weight / most))
                                   for number, (puzzle, weight) in enumerate(puzzles.items()))
-        self._numbers: dict[Belief, int] = {self.root: 0}
+        self._numbers: dict[PuzzleOdds, int] = {self.root: 0}
         queue, count = [self.root], len(self._puzzles[0].target_names)
         rows: list[list[list[tuple[float, int]]]] = []
         for belief in queue:  # grows
@@ -88,8 +88,8 @@ class PuzzleBeliefs:
                 ends: list[tuple[float, int]] = []
                 for seen, (chance, then) in self.press(belief, target).items():
                     if not seen[0] and then not in self._numbers:
-                        if len(self._numbers) >= MOST_BELIEFS:
-                            raise UnsupportedError(f"more than {MOST_BELIEFS:,} beliefs")
+                        if len(self._numbers) >= MOST_PUZZLE_BELIEFS:
+                            raise UnsupportedError(f"more than {MOST_PUZZLE_BELIEFS:,} beliefs")
                         self._numbers[then] = len(self._numbers)
                         queue.append(then)
                     ends.append((chance, OPEN if seen[0] else self._numbers[then]))
@@ -106,11 +106,11 @@ class PuzzleBeliefs:
     def __len__(self) -> int:
         return len(self.chances)
 
-    def find(self, belief: Belief) -> int:
+    def find(self, belief: PuzzleOdds) -> int:
         """Return the number of a belief."""
         return self._numbers[belief]
 
-    def press(self, belief: Belief, target: int) -> dict[tuple[bool, tuple[float, ...]], tuple[float, Belief]]:
+    def press(self, belief: PuzzleOdds, target: int) -> dict[tuple[bool, tuple[float, ...]], tuple[float, PuzzleOdds]]:
         """Return the outcomes of a press: what is seen -> its probability and the belief after it.
 
         What is seen is whether the exit is open, and the puzzle's numbers in observations.
