@@ -66,5 +66,7 @@ def parse(arguments: Sequence[str]) -> None:
 
 def parse_options(module: str, words: Sequence[str], function: str = "run") -> None:
     """Parse the options of a module's function, without running it. Raises SystemExit if wrong."""
-    options = typing.get_type_hints(getattr(import_module(module), function))["args"]
+    if hasattr(found := import_module(module), "__path__"):  # a package that runs by its `__main__`
+        found = import_module(f"{module}.__main__")
+    options = typing.get_type_hints(getattr(found, function))["args"]
     tyro.cli(options, args=words, config=(tyro.conf.FlagCreatePairsOff,))
