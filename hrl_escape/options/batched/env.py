@@ -43,6 +43,7 @@ from hrl_escape.names import join_words
 from hrl_escape.options.batched.aims import BatchGoal, check_goals, read_targets
 from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
 from hrl_escape.options.batched.hand_policy import weigh_postures
+from hrl_escape.options.batched.known_runs import KnownRuns, repeats_runs
 from hrl_escape.options.batched.stepping import (
     ENDINGS,
     FAIL_AFTER,
@@ -51,10 +52,13 @@ from hrl_escape.options.batched.stepping import (
     PLAN_AFTER,
     PLAN_LENGTH,
     AgentView,
+    Choice,
     OpenDecisions,
+    Search,
     StepSettings,
     Transitions,
-    begin_decisions,
+    begin_some,
+    choose_some,
     find_startable,
     make_decisions,
     make_view,
@@ -148,9 +152,9 @@ def _align(rows: Sequence[Sequence[int]], length: int, filler: int) -> Tensor:
 class PostureChooser:
     """Chooses postures for the rooms of a batch, with or without a compiled kernel."""
 
-    def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
+    def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool, parts: int) -> None:
         self._room, self._aims = room, fields.aims
-        self._part = max(room.count // _PARTS, 1) if is_compiled else 0
+        self._part = max(-(-room.count // (16 * parts)), 1) * 16 if is_compiled else 0  # whole vectors
         self._weigh: Callable[[TensorState, Tensor, Tensor], Tensor]
         if is_compiled:
             shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
@@ -168,11 +172,44 @@ class PostureChooser:
         if len(rooms) == 0:
             return running
         goal = goal.clamp(max=targets - 1)
-        # a compiled kernel takes a fixed number of rooms
-        part = self._part or len(rooms)
-        padded = torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)])
-        found = torch.cat([self._weigh(self._room.state, goal, some) for some in padded.split(part)], dim=1)
+        found = torch.cat([self._weigh(self._room.state, goal, some) for some in split_rooms(rooms, self._part)], dim=1)
         return running._replace(postures=running.postures.index_copy(1, rooms, found[:, : len(rooms)]))
+
+
+class PrimitiveChooser:
+    """Chooses the next primitives of some rooms of a batch, with or without a compiled kernel."""
+
+    def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
+        self._room, self._aims = room, fields.aims
+        self._part = max(-(-room.count // (16 * _SMALL_PARTS)), 1) * 16 if is_compiled else 0  # whole vectors
+        self._choose: Callable[[TensorState, Search, Tensor], Choice]
+        if is_compiled:
+            shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
+            kernel = compile_step(choose_some, (room.layout,), room.device.type, torch.get_num_threads(), shapes)
+            self._choose = kernel.bind(room.tables, fields)
+        else:
+            self._choose = partial(choose_some, room.layout, room.tables, fields)
+
+    def choose(self, running: OpenDecisions, where: Tensor, primitive: Tensor) -> Choice:
+        """Choose in the rooms of `where`, bool (rooms,), and take `primitive`, int64 (rooms,), elsewhere at no cost."""
+        state = self._room.state
+        goal = read_targets(self._room.layout, self._aims, state.instance, running.goal.clamp(min=0))
+        search = Search(goal, running.postures, running.cells, running.costs)
+        choice = Choice(primitive, torch.zeros_like(running.least), torch.zeros_like(goal))
+        rooms = where.nonzero().squeeze(1)
+        if len(rooms):
+            found = [self._choose(state, search, some) for some in split_rooms(rooms, self._part)]
+            for every, parts in zip(choice, zip(*found, strict=True), strict=True):
+                every[rooms] = torch.cat(parts)[: len(rooms)]
+        return choice
+
+
+def split_rooms(rooms: Tensor, part: int) -> Sequence[Tensor]:
+    """Split room numbers, int64 (some,), into parts of one size, as compiled kernels take them; 0 for a single part.
+
+    The last part is padded with room 0.
+    """
+    return torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)]).split(part) if part else (rooms,)
 
 
 @lru_cache(maxsize=64)
@@ -189,13 +226,14 @@ def compile_step(function: Callable[..., Any], constants: tuple, device: str, th
 BATCHED_SETS = ("press", "press-with-ancestors")
 """Option sets that batches support."""
 _PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
+_SMALL_PARTS = 32  # the same where most runs of options are known
 _SHARED = ("options", "include_primitives", "discount", "option_set", "interruptible", "max_duration")
 """Arguments that `OptionsEnv` has, too."""
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
-Stepped: TypeAlias = tuple[TensorState, OpenDecisions, AgentView, Transitions]
-DecisionKernel: TypeAlias = Callable[[TensorState, OpenDecisions, AgentView, Tensor], Stepped]
+Stepped: TypeAlias = tuple[TensorState, OpenDecisions, AgentView, Transitions, Tensor]
+DecisionKernel: TypeAlias = Callable[[TensorState, OpenDecisions, AgentView, Tensor, Choice | None], Stepped]
 
 
 class BatchedOptionsEnv:
@@ -297,7 +335,12 @@ class BatchedOptionsEnv:
                                       degradation.option_set == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
         self._running: OpenDecisions | None = None
-        self._chooser = PostureChooser(self.room, self._fields, self.rooms.compile) if presses_by_hand(layout) else None
+        repeats = self.device.type == "cpu" and repeats_runs(layout, self._settings)
+        self._known = KnownRuns(num_envs) if repeats else None
+        parts = _SMALL_PARTS if repeats else _PARTS
+        self._chooser = (PostureChooser(self.room, self._fields, self.rooms.compile, parts) if presses_by_hand(layout)
+                         else None)
+        self._primitives = PrimitiveChooser(self.room, self._fields, self.rooms.compile) if repeats else None
         self._kernel = self._compile() if self.rooms.compile else None
 
     def _compile(self) -> DecisionKernel:
@@ -372,6 +415,8 @@ class BatchedOptionsEnv:
                                                option=torch.where(where, -1, self._running.option))
             # each tensor gets its own memory, as after a step: shared memory would make a compiled step recompile
             self._running, self.room.state = map_tensors(_own, fresh), map_tensors(_own, self.room.state)
+            if self._known is not None:
+                self._known.drop(torch.ones_like(self.is_over) if where is None else where, self.room.state)
         return self._view.observation
 
     def step(self, action: Tensor) -> Transitions:
@@ -394,13 +439,15 @@ class BatchedOptionsEnv:
         action = self._check_action(action)
         room = self.room
         with torch.no_grad():
-            running = self._plan(view, running, action)
+            running, choice = self._plan(view, running, action)
             if self._kernel is not None:
-                found = self._kernel(room.state, running, view, action)
+                found = self._kernel(room.state, running, view, action, choice)
             else:
                 found = step_decisions(room.layout, self._settings, room.tables, self._fields, room.state, running,
-                                       view, action, looks=self.device.type == "cpu")
-        room.state, self._running, self._view, transitions = found
+                                       view, action, choice, looks=self.device.type == "cpu")
+            room.state, self._running, self._view, transitions, primitive = found
+            if self._known is not None:
+                self._known.record(room.state, primitive, transitions)
         return transitions
 
     # --- one of the rooms, and checkpoints -----------------------------------------------------
@@ -418,6 +465,7 @@ class BatchedOptionsEnv:
     def state_dict(self) -> dict[str, Any]:
         """Return episodes and running decisions, as arrays."""
         view, running = self._get_begun()
+        running = running if self._known is None else self._known.write_plans(running)
         return {name: {key: field.cpu().numpy() for key, field in part._asdict().items()}
                 for name, part in (("rooms", self.room.state), ("view", view), ("running", running))}
 
@@ -427,28 +475,47 @@ class BatchedOptionsEnv:
             return {name: torch.from_numpy(np.array(field)).to(self.device) for name, field in part.items()}
 
         self.room.state = TensorState(**take(state["rooms"]))
+        if self._known is not None:
+            self._known.drop(torch.ones_like(self.is_over), self.room.state)
         self._view, self._running = AgentView(**take(state["view"])), OpenDecisions(**take(state["running"]))
 
-    def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
-        """Ask for orders, choose postures, and plan for the rooms whose greedy policy has made no progress."""
-        settings, layout = self._settings, self.room.layout
-        if settings.interruptible or settings.has_ancestors or self._chooser is not None:
-            running = begin_decisions(settings, running, self.is_waiting & (action >= 0), action,
-                                      view.observation)
-        where = (running.action >= settings.primitives) & (running.plan_left == 0) & ~self.is_over
-        where = where & (running.run >= settings.degradation.detour)
-        option = (running.action - settings.primitives).clamp(min=0)
+    def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> tuple[OpenDecisions, Choice | None]:
+        """Ask for orders, choose postures, and plan for the rooms whose greedy policy has made no progress.
+
+        Returns:
+            The decisions, and where options repeat their runs, the next primitives.
+        """
+        settings, layout, known = self._settings, self.room.layout, self._known
+        begins, is_followed = self.is_waiting & (action >= 0), None
+        if known is not None:
+            running = known.begin(self.room.state, running, begins & (action >= settings.primitives), action)
+            is_followed = known.is_followed
+        if known is not None or settings.interruptible or settings.has_ancestors or self._chooser is not None:
+            at = (begins if is_followed is None else begins & ~is_followed).nonzero().squeeze(1)
+            running = begin_some(settings, running, at, action, view.observation)
+        where = (running.action >= settings.primitives) & ~self.is_over
+        if is_followed is not None:
+            where = where & ~is_followed
+        chooses = where if known is None else where & known.find_leading()
+        where = where & (running.plan_left == 0) & (running.run >= settings.degradation.detour)
         if settings.has_ancestors:
+            option = (running.action - settings.primitives).clamp(min=0)
             can = find_startable(layout, self.room.tables, self._fields.aims, self.room.state, settings)
             where = where & ((running.run > 0) | torch.gather(can, 1, option.unsqueeze(1)).squeeze(1))
-        if settings.has_ancestors:
             running = self._host_planner.order(running, where & (running.goal == NOT_ASKED), option)
             where = where & (running.goal != NOT_ASKED)
-        if self._chooser is not None:
+        if self._chooser is not None and known is not None:
+            running = self._chooser.choose(running, where & chooses)
+            running = running._replace(postures=running.postures[:, known.leader])
+        elif self._chooser is not None:
             running = self._chooser.choose(running, where)
         running, has_failed = self._host_planner.plan(running, where & (running.stalled >= PLAN_AFTER))
         # a room whose planning failed gives up after one more primitive without progress
-        return running._replace(stalled=torch.where(has_failed, settings.fail_after, running.stalled))
+        running = running._replace(stalled=torch.where(has_failed, settings.fail_after, running.stalled))
+        if known is None or self._primitives is None:
+            return running, None
+        choice = self._primitives.choose(running, chooses, known.read(begins, running))
+        return running, map_tensors(lambda field: field[known.leader], choice)
 
     def _check_action(self, action: Tensor) -> Tensor:
         if not isinstance(action, Tensor) or action.shape != (self.count,) or action.dtype != torch.int64 \

@@ -17,7 +17,7 @@ from torch import Tensor
 from hrl_escape.env.batched.observations import observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import find_shut, is_in_exit, restart, step
-from hrl_escape.env.batched.tables import Layout, Tables, pick
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.noise import MASK, philox
 from hrl_escape.env.observations.base import BatchObservation
 from hrl_escape.env.tensor_geometry import wrap
@@ -149,12 +149,13 @@ def make_view(layout: Layout, tables: Tables, aims: Aims, state: TensorState, se
 
 
 def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, fields: CostFields,
-                   state: TensorState, running: OpenDecisions, view: AgentView, action: Tensor, looks: bool = False
-                   ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions]:
+                   state: TensorState, running: OpenDecisions, view: AgentView, action: Tensor,
+                   choice: Choice | None = None, looks: bool = False
+                   ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions, Tensor]:
     """Run one primitive in every room, and begin and end decisions; the function that is compiled.
 
-    With `looks` it begins episodes only where any has ended, which takes a look that neither a compiled step nor an
-    accelerator stops for.
+    Returns the primitives last, int64 (rooms,). Options choose here, unless there is a `choice`. With `looks` it begins
+    episodes only where any has ended, which takes a look that neither a compiled step nor an accelerator stops for.
     """
     is_over = state.has_ended != 0
     running = begin_decisions(settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
@@ -173,8 +174,9 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
 
     planned = _read_aligned(running.plan, running.plan_left)
     target = read_targets(layout, fields.aims, state.instance, goal)
-    search = Search(target, running.postures, running.cells, running.costs)
-    choice = choose_primitive(layout, tables, fields, state, search)
+    if choice is None:
+        choice = choose_primitive(layout, tables, fields, state,
+                                  Search(target, running.postures, running.cells, running.costs))
     is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
     primitive = torch.where(running.plan_left > 0, planned, choice.primitive)
@@ -231,7 +233,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     if settings.autoreset and not (looks and not has_ended.any()):
         after = restart(layout, tables, after, has_ended)
         final = make_view(layout, tables, fields.aims, after, settings, running.option)
-    return after, running._replace(action=torch.where(where, -1, running.action)), final, decisions
+    return after, running._replace(action=torch.where(where, -1, running.action)), final, decisions, primitive
 
 
 def _watch_progress(running: OpenDecisions, choice: Choice, is_wasting: Tensor) -> OpenDecisions:
@@ -250,11 +252,16 @@ def _watch_progress(running: OpenDecisions, choice: Choice, is_wasting: Tensor) 
 
 def _take_next_goal(running: OpenDecisions, where: Tensor) -> OpenDecisions:
     """Take up the next goal of the order in some rooms, bool (rooms,), with the memory of the last one cleared."""
-    fresh = make_decisions(running.observation)
-    changes = {name: torch.where(where, getattr(fresh, name), getattr(running, name)) for name in _OF_GOAL}
     following = _read_aligned(running.order, running.order_left)
-    return running._replace(goal=torch.where(where, following, running.goal),
-                            order_left=running.order_left - where.to(torch.int32), **changes)
+    return forget_progress(running, where)._replace(goal=torch.where(where, following, running.goal),
+                                                    order_left=running.order_left - where.to(torch.int32))
+
+
+def forget_progress(running: OpenDecisions, where: Tensor) -> OpenDecisions:
+    """Clear the memory of how near to their goals some rooms, bool (rooms,), have come."""
+    fresh = make_decisions(running.observation)
+    return running._replace(**{name: torch.where(where, getattr(fresh, name), getattr(running, name))
+                               for name in _OF_GOAL})
 
 
 def _read_aligned(rows: Tensor, left: Tensor) -> Tensor:
@@ -276,6 +283,18 @@ def begin_decisions(settings: StepSettings, running: OpenDecisions, where: Tenso
         old if name in _UNREAD else
         torch.where(is_new_run if name in _OF_RUN else where.unsqueeze(1) if new is observation else where, new, old)
         for name, new, old in zip(OpenDecisions._fields, fresh, running, strict=True)))
+
+
+def begin_some(settings: StepSettings, running: OpenDecisions, rooms: Tensor, action: Tensor, observation: Tensor
+               ) -> OpenDecisions:
+    """Begin decisions in the rooms numbered `rooms`, int64 (some,), alone; see `begin_decisions`."""
+    if not len(rooms):
+        return running
+    some = OpenDecisions(*(field[rooms] if name == "observation" else field[..., rooms]
+                           for name, field in running._asdict().items()))
+    begun = begin_decisions(settings, some, torch.ones_like(rooms, dtype=torch.bool), action[rooms], observation[rooms])
+    return OpenDecisions(*(old if name in _UNREAD else old.index_copy(0 if name == "observation" else -1, rooms, new)
+                           for name, old, new in zip(OpenDecisions._fields, running, begun, strict=True)))
 
 
 def make_decisions(observation: Tensor) -> OpenDecisions:
@@ -370,6 +389,13 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
     here = locate(layout, fields, state.instance, state.x, state.y)
     heading, _ = classify_headings(layout, fields, state)
     return Choice(primitive, best + 1.0, here.cell * fields.classes + heading)
+
+
+def choose_some(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, search: Search, rooms: Tensor
+                ) -> Choice:
+    """Choose the next primitives of the rooms numbered `rooms`, int64 (some,)."""
+    state, search = (map_tensors(lambda field: field[..., rooms], each) for each in (state, search))
+    return choose_primitive(layout, tables, fields, state, search)
 
 
 def _find_reach(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, search: Search
