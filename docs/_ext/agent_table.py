@@ -18,6 +18,7 @@ from tables import Table, list_hierarchical, make_table
 
 from hrl_escape.agents.registry import (
     get_agent_class,
+    list_across_rooms_agents,
     list_agents,
     list_continuous_agents,
     list_hierarchy_agents,
@@ -49,11 +50,11 @@ LEARNS = {
     "decision-transformer": (POLICY, "network"), "fitted-q": (VALUE, "network or table"), "hiql": (BOTH, "network"),
     "iql": (BOTH, "network or table"), "sharsa": (BOTH, "network or table"),
     "sac": (BOTH, "network"), "td3": (BOTH, "network"), "hiro": (BOTH, "network"), "hrac": (BOTH, "network"),
-    "hac": (BOTH, "network"),
+    "hac": (BOTH, "network"), "press-network": (MODEL, "network"),
 }
 """Agent -> what it learns, and its representation."""
 ACTIONS = {"discrete": "discrete", "box": "continuous"}
-FOR_OPTIONS = ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "vigorito-barto")
+FOR_OPTIONS = ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "press-network", "vigorito-barto")
 """Agents whose models are of options and buttons."""
 
 
@@ -110,7 +111,7 @@ class Agents(Table):
         """One row an agent."""
         many, rows = list_many_env_agents(), []
         for name in dict.fromkeys([*list_agents(), *list_hierarchy_agents(), *list_offline_agents(),
-                                   *list_continuous_agents()]):
+                                   *list_continuous_agents(), *list_across_rooms_agents()]):
             page = "offline" if name in list_offline_agents() else name
             rows.append((
                 f"[{AgentSpec.parse(name).title}]({page}.md) `{name}`", describe_learning(name),

@@ -3,7 +3,7 @@
 A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
 that the file defines, abstract ones aside. Agents of the family `task_hierarchies` act by a given hierarchy, and agents
 of `offline` learn from a data set, so spaces and settings alone are not enough to make them. Agents of `continuous` act
-in a Box alone.
+in a Box alone. Agents of `across_rooms` need options over the observation `objects`.
 
 `smdp-dqn` and `dqn` are one implementation. The prefix makes the agent choose among options, and can change named
 settings as the published program did. The random policy over options is `random-options`. Third-party
@@ -154,7 +154,8 @@ def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
         return
     over_options = name.startswith(SMDP_PREFIX)
     note = "" if over_options else f"; each also with {SMDP_PREFIX} in front, which chooses among options"
-    known = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents())
+    known = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents(),
+             *list_across_rooms_agents())
     raise UnknownNameError("agent", name, dict.fromkeys([*(join_name(each, over_options) for each in known),
                                                         RANDOM_OPTIONS, *others]), note)
 
@@ -181,7 +182,7 @@ def _find_shipped() -> dict[str, str]:
 def _list_made() -> list[str]:
     """Names of the algorithms that spaces and settings make."""
     return [name for name, module in _find_shipped().items()
-            if module.split(".")[-2] not in ("task_hierarchies", "offline", "continuous")]
+            if module.split(".")[-2] not in ("task_hierarchies", "offline", "continuous", "across_rooms")]
 
 
 def find_agent_module(name: str) -> str | None:
@@ -236,6 +237,11 @@ def list_offline_agents() -> list[str]:
 def list_continuous_agents() -> list[str]:
     """Names of the shipped agents that act in a Box alone, such as velocities."""
     return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.continuous.")]
+
+
+def list_across_rooms_agents() -> list[str]:
+    """Names of the shipped agents that learn in training rooms for unseen ones, from options over `objects`."""
+    return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.across_rooms.")]
 
 
 def find_hierarchy_part(agent: str | type[Agent]) -> str | None:

@@ -48,6 +48,7 @@ _TITLES = {
     "deep-abstract-q": "deep abstract Q",
     "vigorito-barto": "Vigorito and Barto",
     "option-critic": "option-critic",
+    "press-network": "press network",
     "option-keyboard": "option keyboard",
     "skill-chaining": "skill chaining",
     "covering-options": "covering options",

@@ -9,13 +9,17 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import numpy as np
 
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.benchmark.agent_env import find_starts, make_agent_env
+from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.inference import Estimate
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.benchmark.room_intervals import compute_nested_interval
@@ -46,6 +50,10 @@ class Args(StudyArgs):
     """Benchmark to run; all by default."""
     candidates: bool = False
     """Run the learners that are compared by wrong presses, in place of the references."""
+    learners: bool = False
+    """Run the trained agents of the study, without the references."""
+    rooms: int | None = None
+    """Training rooms of what is run; all sizes by default."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +87,7 @@ LINES = (AcrossRun, CandidateRun)
 def list_jobs(data: Mapping[str, Any], benchmark: str = "") -> Iterator[AcrossRun]:
     """Lines without results, season by season."""
     agents = [(agent, 0) for agent in (*data["searches"], data["planner"])]
-    agents += [(data["counting"], size) for size in data["train_sizes"]]
+    agents += [(agent, size) for agent in (data["counting"], *data["learners"]) for size in data["train_sizes"]]
     for season in range(data["seasons"]):
         for name, rungs in data["rungs"].items():
             for rung in rungs if benchmark in ("", name) else ():
@@ -93,7 +101,9 @@ def measure(study: Study, args: Args, store: Store) -> None:
         make_missing(list_candidates(study.data), run_candidate, store, args.minutes)
         return
     with tempfile.TemporaryDirectory() as folder:
-        make_missing(list_jobs(study.data, args.benchmark), lambda job: run_job(job, study.data, Path(folder)), store,
+        jobs = (job for job in list_jobs(study.data, args.benchmark)
+                if (not args.learners or job.agent in study.data["learners"]) and args.rooms in (None, job.rooms))
+        make_missing(jobs, lambda job: run_job(job, study.data, Path(folder)), store,
                      args.minutes)
 
 
@@ -102,13 +112,13 @@ def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:
     rung = load_benchmark(f"{job.benchmark}@{job.season}")[job.rung]
     primitives, state = 0, None
     if job.rooms:
-        primitives, state = _train(job.agent, rung.train[: job.rooms], data["primitives_per_room"] * job.rooms)
+        primitives, state = _train(job, rung.train[: job.rooms], data["primitives_per_room"] * job.rooms)
     spec, seeds = AgentSpec.parse(job.agent), [compute_episode_seed(0, "evaluation", number)
                                                for number in range(data["tested"])]
-    env, recorder = make_agent_env(spec, rung.test[: data["tested"]], "features",
+    env, recorder = make_agent_env(spec, rung.test[: data["tested"]], spec.default_observation,
                                    {str(seed): number for number, seed in enumerate(seeds)})
     try:
-        player = make_reference(spec.name, env, recorder)
+        player = _make_player(spec, env, recorder, job.season)
         if state is not None:
             player.load_state_dict(state)
         played = evaluate(player, env, len(seeds))
@@ -120,19 +130,27 @@ def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:
                                efficiencies=tuple(round(value, 4) for value in found.tolist()))
 
 
-def _train(agent: str, rooms: InstanceSet, primitives: int) -> tuple[int, StateTree]:
-    spec = AgentSpec.parse(agent)
-    env, recorder = make_agent_env(spec, rooms, "features")
+def _train(job: AcrossRun, rooms: InstanceSet, primitives: int) -> tuple[int, StateTree]:
+    spec = AgentSpec.parse(job.agent)
+    env, recorder = make_agent_env(spec, rooms, spec.default_observation)
     try:
-        player = make_reference(spec.name, env, recorder)
+        player = _make_player(spec, env, recorder, job.season)
         result = train(player, env, primitives=primitives, eval_episodes=0, progress=False, observed=False)
     finally:
         env.close()
     return result.primitives, player.state_dict()
 
 
+def _make_player(spec: AgentSpec, env: gymnasium.Env, recorder: StateRecorder, seed: int) -> Agent:
+    if spec.is_reference:
+        return make_reference(spec.name, env, recorder)
+    return make_agent(spec, env.observation_space, env.action_space, seed)
+
+
 def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings:
     """Efficiency of each reference, and the normalised score of counting, over the seasons that all were run on.
+
+    Learners are compared over the seasons that they were run on, too.
 
     Raises:
         ComparisonError: there are no runs.
@@ -148,11 +166,17 @@ def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings
             seasons = [season for season in range(data["seasons"])
                        if all((*cell, season) in values for cell in cells)]
             if len(seasons) >= data["least"]:
-                found[f"{benchmark}/{rung}"] = _summarise(data, cells, values, seasons)
+                found[f"{benchmark}/{rung}"] = own = _summarise(data, cells, values, seasons)
+                own.learners = _compare_learners(data, values, seasons)
     rows = [[name, str(own.seasons), *(f"{own.means[cell]:.3f}" if cell in own.means else ""
                                        for cell in _list_cells(data)),
              *("" if score is None else f"{score:.2f}" for score in own.normalised.values())]
             for name, own in found.items()]
+    compared = [[name, AgentSpec.parse(agent).title, str(rooms), str(own.seasons), f"{own.efficiency:.3f}",
+                 f"{own.minus_counting:.3f}", "" if own.share is None else f"{own.share:.2f}"]
+                for name, rung in found.items() for (agent, rooms), own in rung.learners.items()]
+    table_of_learners = make_table(["rung", "learner", "rooms", "seasons", "efficiency", "minus counting",
+                                    "share of the headroom over search-nearest"], compared)
     wrong = _summarise_candidates([run for run in every if isinstance(run, CandidateRun)], data)
     columns = [find_title(agent) + (f", {rooms} rooms" if rooms else "") for agent, rooms in _list_cells(data)]
     learners = list(dict.fromkeys(cell for own in wrong.values() for cell in own))
@@ -160,7 +184,8 @@ def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings
         [rung, *(f"{own[cell]:.2f}" if cell in own else "" for cell in learners)] for rung, own in wrong.items()])
     table = make_table(["rung", "seasons", *columns, *(f"normalised, {size} rooms" for size in data["train_sizes"])],
                        rows)
-    return Findings(SimpleNamespace(rungs=found, wrong=wrong, data=data), {"wrong": table_of_wrong, "across": table},
+    tables = {"wrong": table_of_wrong, "across": table, "learners": table_of_learners}
+    return Findings(SimpleNamespace(rungs=found, wrong=wrong, data=data), tables,
                     {"across": lambda theme: draw(found, data, theme)})
 
 
@@ -205,3 +230,30 @@ def _summarise(data: Mapping[str, Any], cells: Sequence[tuple[str, int]],
              for size in data["train_sizes"]}
     return SimpleNamespace(seasons=len(seasons), means=means, headroom=headroom, best=best[0], gains=gains,
                            normalised=normalised, learners={})
+
+
+
+def _compare_learners(data: Mapping[str, Any], table: Mapping[tuple[str, int, int], np.ndarray],
+                      seasons: Sequence[int]) -> dict[tuple[str, int], SimpleNamespace]:
+    """Compare learners with counting in the same rooms, and with the headroom of the planner over `search-nearest`.
+
+    Returns:
+        By learner and training rooms: number of seasons, efficiency, its difference from counting, and the share of the
+        headroom, None where there is too little headroom.
+    """
+    found = {}
+    for agent in data["learners"]:
+        for size in data["train_sizes"]:
+            own = [season for season in seasons if (agent, size, season) in table]
+            if len(own) < data["least"]:
+                continue
+            gains = [table[agent, size, season] - table[data["counting"], size, season] for season in own]
+            cells = (data["searches"][0], 0), (data["planner"], 0), (agent, size)
+            base, planner, learner = (np.array([table[name, rooms, season].mean() for season in own])
+                                      for name, rooms in cells)
+            headroom = compute_headroom(base, planner)
+            share = float((learner - base).mean() / (planner - base).mean()) if headroom.low > LEAST_HEADROOM else None
+            found[agent, size] = SimpleNamespace(
+                seasons=len(own), efficiency=compute_nested_interval([table[agent, size, season] for season in own]),
+                minus_counting=compute_nested_interval(gains), headroom=headroom, share=share)
+    return found

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from hrl_escape.benchmark.references.count_cues import CUE_SECTORS, CountCues, RoomOrder
+from hrl_escape.benchmark.references.count_cues import CUE_SECTORS, RoomOrder
 from hrl_escape.env.puzzles.cues import COLOURS, MOST_SYMBOLS
 
-__all__ = ["AttentionCues", "AttentionSettings", "OrderNetwork", "fit"]
+__all__ = ["AttentionSettings", "OrderNetwork", "fit"]
 
 MOST_BUTTONS = 16
 """Most buttons of a room."""
@@ -115,17 +115,6 @@ def _batch(rooms: Sequence[RoomOrder]) -> tuple[Tensor, Tensor]:
     steps = [(make_tokens(room, place), room.order[place]) for room in rooms for place in range(len(room.order))]
     tokens, following = zip(*steps, strict=True)
     return torch.tensor(tokens), torch.tensor(following)
-
-
-class AttentionCues(CountCues):
-    """Agent that searches by the odds of a trained network, in place of counts."""
-
-    network: OrderNetwork | None = None
-
-    def _weigh(self, room: RoomOrder, off: Sequence[int]) -> Sequence[float] | None:
-        if self.network is None:
-            return super()._weigh(room, off)
-        return weigh(self.network, room, off)
 
 
 def weigh(network: OrderNetwork, room: RoomOrder, off: Sequence[int]) -> list[float]:

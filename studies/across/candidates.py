@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hrl_escape.agents.components.press_tables import PressTables, RoomPresses, TableSettings, fit_press_tables
 from hrl_escape.benchmark.references.count_cues import CountTable, RoomOrder
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
@@ -24,10 +25,14 @@ from hrl_escape.sets.instance_set import InstanceSet
 from studies.across.attention import fit, weigh
 from studies.store import Line
 
-__all__ = ["CandidateRun", "count_wrong", "list_candidates", "make_orders", "run_candidate"]
+__all__ = ["CandidateRun", "count_wrong", "list_candidates", "make_orders", "run_candidate",
+           "search_room"]
 
-CHANCE, COUNTING, ATTENTION = "random order", "counting", "attention"
+CHANCE, COUNTING, ATTENTION, ONE_TASK, PRESSES = (
+    "random order", "counting", "attention", "press network, one task", "press network")
 Weigh = Callable[[RoomOrder, Sequence[int]], Sequence[float] | None]
+CUES = ("symbol", "plug", "number")
+"""Kinds of tables without positions."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,7 +65,7 @@ def list_candidates(data: Mapping[str, Any]) -> Iterator[CandidateRun]:
             for rung in rungs:
                 yield CandidateRun(benchmark, season, rung, CHANCE, 0, 0.0)
                 for rooms in data["train_sizes"]:
-                    for learner in (COUNTING, ATTENTION):
+                    for learner in (COUNTING, ATTENTION, ONE_TASK, PRESSES):
                         yield CandidateRun(benchmark, season, rung, learner, rooms, 0.0)
 
 
@@ -68,6 +73,14 @@ def run_candidate(job: CandidateRun) -> CandidateRun:
     """Train a learner on orders of training rooms, and count its wrong presses in all test rooms."""
     rung = load_benchmark(f"{job.benchmark}@{job.season}")[job.rung]
     tested = [(_sample(rung.config, seed), seed) for seed in rung.test.seeds]
+    if job.learner in (ONE_TASK, PRESSES):
+        torch.set_num_threads(1)
+        settings = TableSettings(tasks=1) if job.learner == ONE_TASK else TableSettings()
+        searched = [search_room(_sample(rung.config, seed), np.random.default_rng(seed))[0]
+                    for seed in rung.train.seeds[: job.rooms]]
+        tables = fit_press_tables(searched, settings, len(searched[0].sectors), job.season, CUES)
+        presses = [search_room(puzzle, np.random.default_rng(seed), tables)[1] for puzzle, seed in tested]
+        return dataclasses.replace(job, wrong=round(float(np.mean(presses)), 4))
     weigh_by: Weigh = CountTable([]).weigh  # no odds, so a random order
     if job.learner == COUNTING:
         weigh_by = CountTable(make_orders(rung.train, job.rooms)).weigh
@@ -77,6 +90,24 @@ def run_candidate(job: CandidateRun) -> CandidateRun:
         weigh_by = partial(weigh, network)
     wrong = [count_wrong(weigh_by, puzzle, np.random.default_rng(seed)) for puzzle, seed in tested]
     return dataclasses.replace(job, wrong=round(float(np.mean(wrong)), 4))
+
+
+def search_room(puzzle: ButtonsPuzzle, rng: np.random.Generator, tables: PressTables | None = None
+                ) -> tuple[RoomPresses, int]:
+    """Press the likeliest button until the goal is on, and return the presses and the number of wrong ones.
+
+    Without tables every button that is not known to fail is as likely.
+    """
+    room, off, wrong = RoomPresses.begin(puzzle.cues, (0,) * puzzle.count), np.ones(puzzle.count, dtype=bool), 0
+    while off[puzzle.goal]:
+        odds = off.astype(np.float64) if tables is None else np.prod(tables.predict(room, off), axis=0)
+        odds += rng.random(puzzle.count) * 1e-9
+        button = max((int(each) for each in np.flatnonzero(off) if not room.fails(int(each), off)),
+                     key=lambda each: odds[each])
+        has_lit = not any(puzzle.parent_masks[button] >> int(other) & 1 for other in np.flatnonzero(off))
+        room.note(button, off, has_lit, has_lit and button == puzzle.goal)
+        off[button], wrong = not has_lit, wrong + (not has_lit)
+    return room, wrong
 
 
 def make_orders(rooms: InstanceSet, count: int) -> list[RoomOrder]:

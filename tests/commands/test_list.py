@@ -8,6 +8,7 @@ import pytest
 from hrl_escape.agents.recommended import RECOMMENDED
 from hrl_escape.agents.registry import (
     get_agent_class,
+    list_across_rooms_agents,
     list_agents,
     list_continuous_agents,
     list_hierarchy_agents,
@@ -39,7 +40,8 @@ def test_list_shows_everything_there_is_with_a_line_about_it(capsys):
 def test_each_agent_is_described_by_its_own_file(capsys):
     _, out, _ = call(capsys, "list", "agents", "--json")
     described = json.loads(out)["agents"]
-    assert list(described) == [*list_agents(), *list_hierarchy_agents(), *list_continuous_agents()]
+    assert list(described) == [*list_agents(), *list_hierarchy_agents(), *list_continuous_agents(),
+                               *list_across_rooms_agents()]
     assert {"dqn", "maxq-q", "hiro"} <= set(described)
     own = [name for name in described if get_agent_class(name).__module__.startswith("hrl_escape.")]
     assert len(own) > 40 and not any(described[name].startswith("From another package") for name in own)

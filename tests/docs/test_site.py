@@ -13,6 +13,7 @@ import pytest
 
 import hrl_escape
 from hrl_escape.agents.registry import (
+    list_across_rooms_agents,
     list_agents,
     list_continuous_agents,
     list_hierarchy_agents,
@@ -106,7 +107,8 @@ def test_every_metric_and_preset_is_explained(site: Path):
 
 def test_every_agent_is_a_row_of_the_table(site: Path):
     page = read(site / "agents" / "index.html").partition("All agents")[2]
-    agents = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents())
+    agents = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents(),
+              *list_across_rooms_agents())
     assert [name for name in agents if name not in page] == []
 
 

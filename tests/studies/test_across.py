@@ -14,7 +14,7 @@ from hrl_escape.benchmark.references.count_cues import RoomOrder
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from studies.across.analysis import AcrossRun, analyse, list_jobs
 from studies.across.attention import AttentionSettings, fit, weigh
-from studies.across.candidates import count_wrong, list_candidates, run_candidate
+from studies.across.candidates import count_wrong, list_candidates, run_candidate, search_room
 from studies.pages.unseen_rooms import RULES
 from studies.publishing import load_findings
 from studies.study import find_study
@@ -34,13 +34,21 @@ def make_lines(search: float, counting: float, planner: float) -> list[AcrossRun
 def test_jobs_go_season_by_season_and_name_each_cell_once():
     jobs = list(list_jobs(STUDY.data))
     assert [job.season for job in jobs] == sorted(job.season for job in jobs)
-    assert len({job.place for job in jobs}) == len(jobs) == 20 * 13 * 5
+    assert len({job.place for job in jobs}) == len(jobs) == 20 * 13 * 7
 
 
 def test_scores_are_normalised_between_search_and_planner():
     found = analyse(STUDY, make_lines(0.6, 0.8, 0.9)).numbers.rungs["cues-1/symbols"]
     assert found.seasons == 6 and abs(found.normalised[16] - 2 / 3) < 0.1 and found.headroom.low > 0.1
     assert analyse(STUDY, make_lines(0.8, 0.85, 0.89)).numbers.rungs["cues-1/symbols"].normalised[16] is None
+
+
+def test_learners_are_compared_with_counting_in_the_same_seasons():
+    lines = [line for line in make_lines(0.6, 0.8, 0.9) if "press" not in line.agent or line.season < 4]
+    own = analyse(STUDY, lines).numbers.rungs["cues-1/symbols"]
+    assert own.seasons == 6 and own.learners[STUDY.data["learners"][0], 64].seasons == 4
+    found = own.learners[STUDY.data["learners"][0], 16]
+    assert found.minus_counting.low < 0 < found.minus_counting.high and abs(found.share - 2 / 3) < 0.1
 
 
 def test_seasons_that_lack_a_cell_do_not_count():
@@ -73,6 +81,9 @@ def test_wrong_presses_are_counted_by_the_rules_of_the_puzzle():
     assert count_wrong(lambda room, off: list(off), puzzle, np.random.default_rng(0)) == 3 + 2 + 1
     mean = np.mean([count_wrong(lambda room, off: None, puzzle, np.random.default_rng(seed)) for seed in range(400)])
     assert mean == pytest.approx(1.5 + 1 + 0.5, abs=0.3), "half of the others at each step"
+    found = [search_room(puzzle, np.random.default_rng(seed)) for seed in range(400)]
+    assert np.mean([wrong for _, wrong in found]) == pytest.approx(1.5 + 1 + 0.5, abs=0.3)
+    assert all(room.order == [0, 1, 2, 3] for room, _ in found)
 
 
 def test_a_candidate_counts_in_training_rooms_and_is_tested_in_others():
