@@ -229,8 +229,8 @@ def choose(args: Choose) -> int:
         for level, number in enumerate(numbers, 1):
             name = f"{axis['name']}-{level}"
             config = make_config(name, f"{data['set']} {axis['set']} {axis['values'][number]}")
-            counts = {role: SetRecord(count=data[role]) for role in ("train", "valid", "test")}
-            records.append(RungRecord(name, axis["isolates"], config, **counts))
+            train, valid, test = (SetRecord(count=data[role]) for role in ("train", "valid", "test"))
+            records.append(RungRecord(name, axis["isolates"], config, train=train, valid=valid, test=test))
         axes.append(AxisRecord(axis["name"], tuple(record.name for record in records[-len(numbers):]),
                                axis.get("observation", "")))
     target = args.profile.with_suffix(".json")

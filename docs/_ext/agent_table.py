@@ -50,11 +50,11 @@ LEARNS = {
     "decision-transformer": (POLICY, "network"), "fitted-q": (VALUE, "network or table"), "hiql": (BOTH, "network"),
     "iql": (BOTH, "network or table"), "sharsa": (BOTH, "network or table"),
     "sac": (BOTH, "network"), "td3": (BOTH, "network"), "hiro": (BOTH, "network"), "hrac": (BOTH, "network"),
-    "hac": (BOTH, "network"), "press-network": (MODEL, "network"),
+    "hac": (BOTH, "network"), "press-model": (MODEL, "network"),
 }
 """Agent -> what it learns, and its representation."""
 ACTIONS = {"discrete": "discrete", "box": "continuous"}
-FOR_OPTIONS = ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "press-network", "vigorito-barto")
+FOR_OPTIONS = ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "press-model", "vigorito-barto")
 """Agents whose models are of options and buttons."""
 
 

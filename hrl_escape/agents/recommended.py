@@ -27,7 +27,7 @@ RECOMMENDED = (
         "learn structure show no significant difference. The best agent with a network is smdp-rainbow.",
     ),
     Recommendation(
-        "unseen rooms", "smdp-press-network+objects", "press network over options",
+        "unseen rooms", "smdp-press-model+objects", "press model over options",
         "Efficiency 0.80 to 0.99 in unseen rooms where cues reveal the order, after 64 training rooms and 9,600 "
         "primitives (first runs, 16 rooms of each kind). It supports buttons that stay on. For other puzzles take "
         "smdp-ppo+objects+memory.",

@@ -48,7 +48,7 @@ _TITLES = {
     "deep-abstract-q": "deep abstract Q",
     "vigorito-barto": "Vigorito and Barto",
     "option-critic": "option-critic",
-    "press-network": "press network",
+    "press-model": "press model",
     "option-keyboard": "option keyboard",
     "skill-chaining": "skill chaining",
     "covering-options": "covering options",

@@ -92,7 +92,8 @@ def list_jobs(data: Mapping[str, Any], benchmark: str = "") -> Iterator[AcrossRu
         for name, rungs in data["rungs"].items():
             for rung in rungs if benchmark in ("", name) else ():
                 for agent, rooms in agents:
-                    yield AcrossRun(name, season, rung, agent, rooms, 0, ())
+                    if agent not in data["learners"] or season in data["learner_seasons"]:
+                        yield AcrossRun(name, season, rung, agent, rooms, 0, ())
 
 
 def measure(study: Study, args: Args, store: Store) -> None:
@@ -103,8 +104,7 @@ def measure(study: Study, args: Args, store: Store) -> None:
     with tempfile.TemporaryDirectory() as folder:
         jobs = (job for job in list_jobs(study.data, args.benchmark)
                 if (not args.learners or job.agent in study.data["learners"]) and args.rooms in (None, job.rooms))
-        make_missing(jobs, lambda job: run_job(job, study.data, Path(folder)), store,
-                     args.minutes)
+        make_missing(jobs, lambda job: run_job(job, study.data, Path(folder)), store, args.minutes)
 
 
 def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:
@@ -167,7 +167,7 @@ def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings
                        if all((*cell, season) in values for cell in cells)]
             if len(seasons) >= data["least"]:
                 found[f"{benchmark}/{rung}"] = own = _summarise(data, cells, values, seasons)
-                own.learners = _compare_learners(data, values, seasons)
+                own.learners = _compare_learners(data, values, seasons, own.best)
     rows = [[name, str(own.seasons), *(f"{own.means[cell]:.3f}" if cell in own.means else ""
                                        for cell in _list_cells(data)),
              *("" if score is None else f"{score:.2f}" for score in own.normalised.values())]
@@ -176,7 +176,7 @@ def analyse(study: Study, every: Sequence[AcrossRun | CandidateRun]) -> Findings
                  f"{own.minus_counting:.3f}", "" if own.share is None else f"{own.share:.2f}"]
                 for name, rung in found.items() for (agent, rooms), own in rung.learners.items()]
     table_of_learners = make_table(["rung", "learner", "rooms", "seasons", "efficiency", "minus counting",
-                                    "share of the headroom over search-nearest"], compared)
+                                    "normalised"], compared)
     wrong = _summarise_candidates([run for run in every if isinstance(run, CandidateRun)], data)
     columns = [find_title(agent) + (f", {rooms} rooms" if rooms else "") for agent, rooms in _list_cells(data)]
     learners = list(dict.fromkeys(cell for own in wrong.values() for cell in own))
@@ -232,14 +232,13 @@ def _summarise(data: Mapping[str, Any], cells: Sequence[tuple[str, int]],
                            normalised=normalised, learners={})
 
 
-
 def _compare_learners(data: Mapping[str, Any], table: Mapping[tuple[str, int, int], np.ndarray],
-                      seasons: Sequence[int]) -> dict[tuple[str, int], SimpleNamespace]:
-    """Compare learners with counting in the same rooms, and with the headroom of the planner over `search-nearest`.
+                      seasons: Sequence[int], best: str) -> dict[tuple[str, int], SimpleNamespace]:
+    """Compare learners with counting in the same rooms, and with the headroom over the best search baseline.
 
     Returns:
-        By learner and training rooms: number of seasons, efficiency, its difference from counting, and the share of the
-        headroom, None where there is too little headroom.
+        By learner and training rooms: number of seasons, efficiency, its difference from counting, the headroom in
+        these seasons, and the share of it that is gained, None where there is too little headroom.
     """
     found = {}
     for agent in data["learners"]:
@@ -248,7 +247,7 @@ def _compare_learners(data: Mapping[str, Any], table: Mapping[tuple[str, int, in
             if len(own) < data["least"]:
                 continue
             gains = [table[agent, size, season] - table[data["counting"], size, season] for season in own]
-            cells = (data["searches"][0], 0), (data["planner"], 0), (agent, size)
+            cells = (best, 0), (data["planner"], 0), (agent, size)
             base, planner, learner = (np.array([table[name, rooms, season].mean() for season in own])
                                       for name, rooms in cells)
             headroom = compute_headroom(base, planner)

@@ -29,7 +29,7 @@ __all__ = ["CandidateRun", "count_wrong", "list_candidates", "make_orders", "run
            "search_room"]
 
 CHANCE, COUNTING, ATTENTION, ONE_TASK, PRESSES = (
-    "random order", "counting", "attention", "press network, one task", "press network")
+    "random order", "counting", "attention", "press model, one task", "press model")
 Weigh = Callable[[RoomOrder, Sequence[int]], Sequence[float] | None]
 CUES = ("symbol", "plug", "number")
 """Kinds of tables without positions."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,8 +32,8 @@ def draw(rungs: Mapping[str, SimpleNamespace], data: Mapping[str, Any], theme: T
                 axes.plot([own.means[cell].value] * 2, [number - 0.36, number + 0.36], color=colour, linewidth=2.4)
             for place, (agent, colour) in enumerate(colours.items()):
                 means = own.means | {cell: learner.efficiency for cell, learner in own.learners.items()}
-                _draw_pair(axes, [means[agent, size].value for size in (few, many) if (agent, size) in means],
-                           number + 0.3 * place - 0.15 * (len(colours) - 1), colour)
+                known = {size: means[agent, size].value for size in (few, many) if (agent, size) in means}
+                _draw_sizes(axes, known, many, number + 0.3 * place - 0.15 * (len(colours) - 1), colour)
         axes.set(xlabel="efficiency in unseen rooms", xlim=(0, 1.03), ylim=(len(rungs) - 0.4, -0.6))
         axes.set_yticks(range(len(rungs)), [name.partition("/")[2].replace("-", " ") for name in rungs])
         write_key(axes, [(find_title(agent), colour) for agent, colour in colours.items()]
@@ -42,7 +42,8 @@ def draw(rungs: Mapping[str, SimpleNamespace], data: Mapping[str, Any], theme: T
     return make_figure(theme, paint, height=1.6 + 0.34 * len(rungs), grid="x")
 
 
-def _draw_pair(axes: Axes, values: Sequence[float], height: float, colour: str) -> None:
-    axes.plot(values, [height] * len(values), color=colour, linewidth=1.6)
-    axes.plot(values[:1], [height], "o", color=colour, markersize=5, markerfacecolor="none")
-    axes.plot(values[1:], [height] * len(values[1:]), "o", color=colour, markersize=5)
+def _draw_sizes(axes: Axes, values: Mapping[int, float], many: int, height: float, colour: str) -> None:
+    """Draw the values of an agent by number of training rooms: a disc for `many`, a ring for fewer."""
+    axes.plot([*values.values()], [height] * len(values), color=colour, linewidth=1.6)
+    for size, value in values.items():
+        axes.plot(value, height, "o", color=colour, markersize=5, markerfacecolor=colour if size == many else "none")

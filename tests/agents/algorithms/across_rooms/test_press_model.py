@@ -1,4 +1,4 @@
-"""The press network learns cues of training rooms, and nothing where there are none."""
+"""The press model learns cues of training rooms, and nothing where there are none."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.across_rooms.press_network import PressNetwork
+from hrl_escape.agents.algorithms.across_rooms.press_model import PressModel
 from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
@@ -23,7 +23,7 @@ from hrl_escape.env.puzzles.cues import CuesConfig
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.sets.instance_set import InstanceSet
 
-SPEC = AgentSpec.parse("smdp-press-network+objects")
+SPEC = AgentSpec.parse("smdp-press-model+objects")
 CUES = CuesConfig("rank", levels=4, symbols=4)
 SHUFFLED = dataclasses.replace(CUES, shuffled=True)
 OTHER_CODE = dataclasses.replace(CUES, code=next(
@@ -39,14 +39,14 @@ def make_env(cues: CuesConfig, seeds: range, schedule=None):
     return make_agent_env(SPEC, rooms, "objects", schedule)[0]
 
 
-def make_learner(env, seed: int = 0) -> PressNetwork:
+def make_learner(env, seed: int = 0) -> PressModel:
     agent = make_agent(SPEC, env.observation_space, env.action_space, seed)
-    assert isinstance(agent, PressNetwork)
+    assert isinstance(agent, PressModel)
     return agent
 
 
 @cache
-def learn(cues: CuesConfig, rooms: int = 12) -> PressNetwork:
+def learn(cues: CuesConfig, rooms: int = 12) -> PressModel:
     env = make_env(cues, range(rooms))
     agent = make_learner(env)
     train(agent, env, primitives=90 * rooms, eval_episodes=0, progress=False, observed=False)
@@ -111,5 +111,5 @@ def test_directions_do_not_depend_on_the_robot():
 
 
 def test_other_spaces_are_refused_with_the_spec_that_works():
-    with pytest.raises(UnsupportedSpaceError, match=r"smdp-press-network\+objects"):
-        make_agent("press-network", spaces.Box(-1, 1, (4,)), spaces.Discrete(2), 0)
+    with pytest.raises(UnsupportedSpaceError, match=r"smdp-press-model\+objects"):
+        make_agent("press-model", spaces.Box(-1, 1, (4,)), spaces.Discrete(2), 0)

@@ -48,8 +48,8 @@ FAILED_EPISODES = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressNetworkSettings(AgentSettings):
-    """Settings of `press-network`: latent tasks and training."""
+class PressModelSettings(AgentSettings):
+    """Settings of `press-model`: latent tasks and training."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive of logged returns; learning does not use it."""
@@ -105,15 +105,15 @@ class _Episode:
         return not has_lit
 
 
-class PressNetwork(Agent):
+class PressModel(Agent):
     """Presses the button with the fewest expected primitives for each light, by odds learned in training rooms."""
 
-    settings: PressNetworkSettings
+    settings: PressModelSettings
     STATE = ("learned", "_rng")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
-                 settings: PressNetworkSettings | None = None) -> None:
-        self.settings = settings or PressNetworkSettings()
+                 settings: PressModelSettings | None = None) -> None:
+        self.settings = settings or PressModelSettings()
         count_actions(action_space, self.name)
         if not isinstance(observation_space, ObjectsBox) or not isinstance(action_space, PointingDiscrete):
             raise UnsupportedSpaceError(f"{self.name} needs options over the observation objects: "
