@@ -9,13 +9,15 @@ from sphinx.application import Sphinx
 
 MOVED = {
     "schematic": "room-configuration", "api/synthesis": "api/hierarchies", "api/ladder": "api/sets",
-    "api/comparison": "api/benchmark", "board": "ladder", "extend/board": "extend/index",
+    "api/comparison": "api/benchmark", "board": "results/leaderboard", "extend/board": "extend/index",
     **dict.fromkeys(("results/quickstart", "results/price", "results/why", "results/league", "results/flat-ppo"),
                     "results/do-options-help"),
     "results/why-it-worsens": "results/paper", "results/gallery": "puzzles", "results/tools": "tools",
     "results/velocities": "observations",
     **dict.fromkeys(("results/canon", "results/hierarchies", "results/learned", "results/intra-option"),
                     "results/all-algorithms"),
+    **dict.fromkeys(("results/parts", "results/buttons", "results/scaling"), "results/learning-structure"),
+    **dict.fromkeys(("results/marks", "results/storeys"), "results/unseen-rooms"),
 }
 """Former name of each page that has another name now."""
 
