@@ -1,6 +1,6 @@
 """Goal hierarchies, their ablations, and flat agents with and without hindsight in point mazes.
 
-    python -m benchmarks.point_mazes --out point-mazes.jsonl          # ten seeds of each learner in the U maze
+    python -m benchmarks.point_mazes --mazes u medium                 # ten seeds of each learner
     python -m benchmarks.point_mazes --learners hiro --seeds 0 1      # two runs
     python -m benchmarks.point_mazes --trials                         # the settings of `TRIALS`, on seeds from 100
     python -m benchmarks.point_mazes --table                          # tables of the finished runs
@@ -158,26 +158,26 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
     """A table of differences between two learners with the same seeds, in success at the end and in area.
 
     Each difference has Student's interval and a sign-flip test. The verdict distinguishes two learners if Holm's
-    correction over all lines of the table leaves p below 0.05.
+    correction over all lines of the maze leaves p below 0.05.
     """
-    found = []
+    lines = ["| maze | first, second | measure | pairs | difference | 95 % interval | p, Holm | verdict |",
+             "|---|---|---|---|---|---|---|---|"]
     for maze in BUDGETS:
+        found = []
         for pair in PAIRS:
             runs = [select(rows, maze, learner) for learner in pair]
             seeds = sorted(runs[0].keys() & runs[1].keys())
             for number, name in enumerate(("success", "area") if len(seeds) > 1 else ()):
                 gaps = np.array([runs[0][seed][number] - runs[1][seed][number] for seed in seeds])
                 p = min(1.0, *(2 * compute_sign_flip_p(gaps, side) for side in ("above", "below")))
-                found.append((maze, pair, name, gaps, p))
-    lines = ["| maze | first, second | measure | pairs | difference | 95 % interval | p, Holm | verdict |",
-             "|---|---|---|---|---|---|---|---|"]
-    for (maze, pair, name, gaps, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
-        test = compare_pairs([gaps])
-        side = "higher" if test.difference > 0 else "lower"
-        lines.append(f"| {maze} | {', '.join(pair)} | {name} | {test.pairs} | {test.difference:+.2f} | "
-                     f"{test.low:+.2f} to {test.high:+.2f} | {p:.3f} | "
-                     f"{f'{pair[0]} {side}' if p < 0.05 else 'no significant difference'} |")
-    return "\n".join(lines) if found else ""
+                found.append((pair, name, gaps, p))
+        for (pair, name, gaps, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
+            test = compare_pairs([gaps])
+            side = "higher" if test.difference > 0 else "lower"
+            lines.append(f"| {maze} | {', '.join(pair)} | {name} | {test.pairs} | {test.difference:+.2f} | "
+                         f"{test.low:+.2f} to {test.high:+.2f} | {p:.3f} | "
+                         f"{f'{pair[0]} {side}' if p < 0.05 else 'no significant difference'} |")
+    return "\n".join(lines) if len(lines) > 2 else ""
 
 
 def main() -> None:

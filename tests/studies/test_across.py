@@ -34,7 +34,7 @@ def make_lines(search: float, counting: float, planner: float) -> list[AcrossRun
 def test_jobs_go_season_by_season_and_name_each_cell_once():
     jobs = list(list_jobs(STUDY.data))
     assert [job.season for job in jobs] == sorted(job.season for job in jobs)
-    assert len({job.place for job in jobs}) == len(jobs) == 20 * 13 * 7
+    assert len({job.place for job in jobs}) == len(jobs) == 13 * (20 * 5 + 10 * 2)
 
 
 def test_scores_are_normalised_between_search_and_planner():
@@ -44,7 +44,7 @@ def test_scores_are_normalised_between_search_and_planner():
 
 
 def test_learners_are_compared_with_counting_in_the_same_seasons():
-    lines = [line for line in make_lines(0.6, 0.8, 0.9) if "press" not in line.agent or line.season < 4]
+    lines = [line for line in make_lines(0.6, 0.8, 0.9) if "press" not in line.agent or line.season < 5]
     own = analyse(STUDY, lines).numbers.rungs["cues-1/symbols"]
     assert own.seasons == 6 and own.learners[STUDY.data["learners"][0], 64].seasons == 4
     found = own.learners[STUDY.data["learners"][0], 16]
