@@ -7,7 +7,7 @@ from typing import Any
 from studies.publishing import Rules
 
 STUDIES = ("across", "marks", "storeys")
-CONTROL = "cues-1/symbols-control"
+CONTROL, PRESS_MODEL = "cues-1/symbols-control", "smdp-press-model+objects"
 HARDLY = 0.01
 """Largest difference of efficiencies that are called equal."""
 
@@ -22,6 +22,38 @@ def _list_cues(numbers: Any) -> dict[str, Any]:
 def does_counting_gain_half(numbers: Any) -> bool:
     """After 64 training rooms the normalised score of counting is above one half with each of seven kinds of cues."""
     return all((rung.normalised[64] or 0) > 0.5 for rung in _list_cues(numbers).values())
+
+
+def _get_learners(numbers: Any) -> dict[str, Any]:
+    """The press model after 64 training rooms by rung, each over ten seasons or more."""
+    found = {name: rung.learners[PRESS_MODEL, 64] for name, rung in numbers.across.rungs.items()}
+    assert all(own.seasons >= 10 for own in found.values())
+    return found
+
+
+def does_the_press_model_gain_half(numbers: Any) -> bool:
+    """Its normalised score is above one half with each of seven kinds of cues."""
+    learners = _get_learners(numbers)
+    return all((learners[name].share or 0) > 0.5 for name in _list_cues(numbers))
+
+
+def does_it_infer_graphs(numbers: Any) -> bool:
+    """In all families but `reset-6` it is significantly above counting, by 0.13 or more."""
+    gains = {name: own.minus_counting for name, own in _get_learners(numbers).items() if name.startswith("families-1/")}
+    return len(gains) == 5 and all((gain.low > 0 and round(gain.value, 2) >= 0.13) != (name == "families-1/reset-6")
+                                   for name, gain in gains.items())
+
+
+def does_it_infer_codes(numbers: Any) -> bool:
+    """With latent codes it is significantly above counting, and elsewhere the difference is 0.04 at most."""
+    gains = {name: _get_learners(numbers)[name].minus_counting for name in _list_cues(numbers)}
+    return gains.pop("cues-1/latent-codes").low > 0 and all(abs(gain.value) <= 0.04 for gain in gains.values())
+
+
+def does_it_fall_short(numbers: Any) -> bool:
+    """It is significantly below counting with dependencies and in the control, and with no other cue."""
+    below = {name for name, own in _get_learners(numbers).items() if own.minus_counting.high < 0}
+    return below == {"cues-1/dependencies", CONTROL}
 
 
 def does_counting_beat_search(numbers: Any) -> bool:
@@ -76,6 +108,10 @@ def does_memory_pay(numbers: Any) -> bool:
 
 
 RULES: Rules = {
+    "press-model-gains-half": does_the_press_model_gain_half,
+    "press-model-infers-graphs": does_it_infer_graphs,
+    "press-model-infers-codes": does_it_infer_codes,
+    "press-model-falls-short": does_it_fall_short,
     "counting-gains-half": does_counting_gain_half,
     "compare-with-counting": does_counting_beat_search,
     "headroom-everywhere": is_there_headroom,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,3 +118,15 @@ def test_a_family_where_counting_gains_refutes_that_they_are_hard():
     assert RULES["families-are-hard"](page)
     page.across.rungs["families-1/ignore-6"].gains[64] = Estimate(0.1, 0.05, 0.15)
     assert not RULES["families-are-hard"](page)
+
+
+@pytest.mark.parametrize(("rung", "change", "rule"), [
+    ("cues-1/noisy", {"share": 0.4}, "press-model-gains-half"),
+    ("families-1/ignore-8", {"minus_counting": Estimate(0.05, -0.02, 0.12)}, "press-model-infers-graphs"),
+    ("cues-1/symbols", {"minus_counting": Estimate(-0.06, -0.08, -0.04)}, "press-model-infers-codes"),
+    ("cues-1/dependencies", {"minus_counting": Estimate(0.0, -0.02, 0.02)}, "press-model-falls-short")])
+def test_other_results_of_the_press_model_refute_what_is_said_of_it(rung: str, change: dict[str, Any], rule: str):
+    page = make_page()
+    assert RULES[rule](page)
+    vars(page.across.rungs[rung].learners["smdp-press-model+objects", 64]).update(change)
+    assert not RULES[rule](page)
