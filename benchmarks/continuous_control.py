@@ -6,8 +6,8 @@
 
 Both libraries run at their default settings for the same number of primitives: networks of 256 x 256, minibatches of
 256, an update per primitive. Warm-ups differ: 1,000 random primitives here, 100 there, so `--warmup` sets both. `final`
-is the mean return of ten greedy episodes at the end of the budget. Seconds are CPU time. Finished runs are kept, a line
-each, in the file `--out`; the command continues a stopped run.
+is the mean return of ten greedy episodes at the end of the budget, the same ones for all. Seconds are CPU time.
+Finished runs are kept, a line each, in the file `--out`; the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -22,9 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
 
 from hrl_escape.agents import train
+from hrl_escape.agents.training.evaluation import compute_episode_seed
 
 TASKS = {"Pendulum-v1": 20_000, "LunarLanderContinuous-v3": 100_000, "BipedalWalker-v3": 300_000}
 """Task -> primitives of a run."""
@@ -42,18 +44,22 @@ def run_own(name: str, task: str, seed: int, primitives: int, warmup: int) -> fl
 
 
 def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int) -> float:
-    """Train an agent of Stable-Baselines3; returns the mean return at the end."""
+    """Train an agent of Stable-Baselines3; returns the mean return at the end, in the same episodes as ours."""
     import stable_baselines3
-    from stable_baselines3.common.evaluation import evaluate_policy
-    from stable_baselines3.common.monitor import Monitor
 
     kind = getattr(stable_baselines3, name.removeprefix("sb3-").upper())
     more = {} if name == "sb3-ppo" else {"learning_starts": warmup}
     model = kind("MlpPolicy", gymnasium.make(task), seed=seed, device="cpu", **more)
     model.learn(primitives)
-    env = Monitor(gymnasium.make(task))
-    env.reset(seed=0)
-    return float(evaluate_policy(model, env, EPISODES)[0])  # pyright: ignore[reportArgumentType]  # a monitor
+    env, returns = gymnasium.make(task), np.zeros(EPISODES)
+    for episode in range(EPISODES):
+        seen, _ = env.reset(seed=compute_episode_seed(0, "evaluation", episode))
+        is_over = False
+        while not is_over:
+            seen, reward, terminated, truncated, _ = env.step(model.predict(seen, deterministic=True)[0])
+            returns[episode] += float(reward)
+            is_over = terminated or truncated
+    return float(returns.mean())
 
 
 def list_runs(args: argparse.Namespace) -> Iterator[tuple[str, str, int, int]]:
