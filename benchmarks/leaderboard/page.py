@@ -37,7 +37,7 @@ class Row(NamedTuple):
 
     name: str  # of the agent
     cells: tuple[str, ...]  # further columns, as Markdown
-    score: Estimate  # efficiency in the test rooms
+    score: Estimate  # efficiency
     rooms: NDArray[np.float64]  # efficiency in each test room
     agent: str  # name of the package's agent or reference; empty for a program
     link: str = ""  # address of the agent
@@ -104,7 +104,7 @@ def draw(rungs: Mapping[str, Sequence[Row]], theme: Theme) -> Figure:
             axes.plot([row.score.low, row.score.high], [place, place], color=colour, linewidth=1.8)
             axes.plot(row.score.value, place, "o", color=colour, markersize=5)
         axes.set_yticks(range(len(lines)), [words for words, _, _ in lines])
-        axes.set(xlabel="efficiency in the test rooms", xlim=(0, 1.02), ylim=(-0.6, len(lines) - 0.4))
+        axes.set(xlabel="efficiency", xlim=(0, 1.02), ylim=(-0.6, len(lines) - 0.4))
 
     return make_figure(theme, paint, height=1.1 + 0.28 * len(lines), grid="x")
 
