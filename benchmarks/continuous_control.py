@@ -90,7 +90,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--primitives", type=int, default=0)
     parser.add_argument("--warmup", type=int, default=1_000)
-    parser.add_argument("--out", type=Path, default=Path("continuous_control.jsonl"))
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("continuous-control.jsonl"))
     parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(1)
