@@ -50,7 +50,7 @@ LEARNS = {
     "decision-transformer": (POLICY, "network"), "fitted-q": (VALUE, "network or table"), "hiql": (BOTH, "network"),
     "iql": (BOTH, "network or table"), "sharsa": (BOTH, "network or table"),
     "sac": (BOTH, "network"), "td3": (BOTH, "network"), "hiro": (BOTH, "network"), "hrac": (BOTH, "network"),
-    "hac": (BOTH, "network"), "press-model": (MODEL, "network"),
+    "hac": (BOTH, "network"), "press-model": (MODEL, "table"),
 }
 """Agent -> what it learns, and its representation."""
 ACTIONS = {"discrete": "discrete", "box": "continuous"}

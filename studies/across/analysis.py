@@ -11,21 +11,20 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.making import make_agent
 from hrl_escape.agents.spec import AgentSpec
 from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
+from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.benchmark.agent_env import find_starts, make_agent_env
+from hrl_escape.benchmark.agent_env import make_agent_env
 from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.inference import Estimate
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.benchmark.room_intervals import compute_nested_interval
-from hrl_escape.benchmark.score_range import compute_score_range
 from hrl_escape.benchmark.standings import LEAST_HEADROOM, compute_headroom
-from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.errors import ComparisonError
 from hrl_escape.sets.benchmark import load_benchmark
 from hrl_escape.sets.instance_set import InstanceSet
@@ -36,6 +35,7 @@ from studies.store import Line, Store
 from studies.study import Findings, Study
 from studies.tables import make_table
 from studies.titles import find_title
+from studies.unseen import measure_efficiencies
 
 __all__ = ["LINES", "AcrossRun", "Args", "analyse", "list_jobs", "measure", "run_job"]
 
@@ -113,21 +113,17 @@ def run_job(job: AcrossRun, data: Mapping[str, Any], cache: Path) -> AcrossRun:
     primitives, state = 0, None
     if job.rooms:
         primitives, state = _train(job, rung.train[: job.rooms], data["primitives_per_room"] * job.rooms)
-    spec, seeds = AgentSpec.parse(job.agent), [compute_episode_seed(0, "evaluation", number)
-                                               for number in range(data["tested"])]
-    env, recorder = make_agent_env(spec, rung.test[: data["tested"]], spec.default_observation,
-                                   {str(seed): number for number, seed in enumerate(seeds)})
-    try:
+    spec, tested = AgentSpec.parse(job.agent), rung.test[: data["tested"]]
+
+    def play(env: gymnasium.Env, recorder: StateRecorder) -> tuple[ArrayLike, ArrayLike]:
         player = _make_player(spec, env, recorder, job.season)
         if state is not None:
             player.load_state_dict(state)
-        played = evaluate(player, env, len(seeds))
-        fewest = compute_score_range(find_starts(env, recorder, seeds), spec, cache).fewest
-    finally:
-        env.close()
-    found = np.minimum(compute_efficiency(played.escaped, played.lengths, fewest), 1.0)
-    return dataclasses.replace(job, primitives=primitives,
-                               efficiencies=tuple(round(value, 4) for value in found.tolist()))
+        played = evaluate(player, env, len(tested))
+        return played.escaped, played.lengths
+
+    return dataclasses.replace(job, primitives=primitives, efficiencies=measure_efficiencies(
+        spec, tested, spec.default_observation, cache, play))
 
 
 def _train(job: AcrossRun, rooms: InstanceSet, primitives: int) -> tuple[int, StateTree]:

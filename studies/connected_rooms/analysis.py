@@ -12,21 +12,20 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.decisions import Moments
 from hrl_escape.agents.spec import AgentSpec
-from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate
+from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
-from hrl_escape.benchmark.agent_env import find_starts, make_agent_env
+from hrl_escape.benchmark.episodes import StateRecorder
 from hrl_escape.benchmark.references.registry import make_reference
 from hrl_escape.benchmark.room_intervals import compute_crossed_interval
-from hrl_escape.benchmark.score_range import compute_score_range
 from hrl_escape.benchmark.standings import compute_headroom
-from hrl_escape.benchmark.statistics import compute_efficiency
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.memory import VectorDecisionMemory
@@ -36,6 +35,7 @@ from studies.store import Line, Store
 from studies.study import Findings, Study
 from studies.tables import make_table
 from studies.titles import find_title
+from studies.unseen import measure_efficiencies
 
 __all__ = ["LINES", "Args", "ConnectedRun", "analyse", "list_jobs", "measure", "play_many", "run_job"]
 
@@ -100,28 +100,22 @@ def run_job(job: ConnectedRun, data: Mapping[str, Any], cache: Path) -> Connecte
     """Train the agent if it has training rooms, and test it in one episode of each test room."""
     started = time.process_time()
     rung = load_benchmark(data["benchmark"])[job.rung]
-    tested, spec = rung.test[: data["tested"]], AgentSpec.parse(job.agent)
-    seeds = [compute_episode_seed(0, "evaluation", number) for number in range(len(tested))]
-    env, recorder = make_agent_env(spec, tested, "objects",
-                                   {str(seed): number for number, seed in enumerate(seeds)})
-    try:
-        fewest = compute_score_range(find_starts(env, recorder, seeds), spec, cache).fewest
-        if job.rooms:
-            envs = _make_envs(data["benchmark"], job.rung, job.rooms, data["copies"], data["compile"])
-            result = train(spec, envs, primitives=data["primitives"], seed=job.seed, eval_episodes=0, progress=False,
-                           observed=False)
-            primitives = result.primitives
-            assert result.agent is not None
-            tests = _make_tests(data["benchmark"], job.rung, len(tested), data["compile"])
-            escaped, lengths = play_many(result.agent, tests)
-        else:
-            played = evaluate(make_reference(spec.name, env, recorder), env, len(seeds))
-            primitives, escaped, lengths = 0, played.escaped, np.array(played.lengths)
-    finally:
-        env.close()
-    found = np.minimum(compute_efficiency(escaped, lengths, fewest), 1.0)
+    tested, spec, agent, primitives = rung.test[: data["tested"]], AgentSpec.parse(job.agent), None, 0
+    if job.rooms:
+        envs = _make_envs(data["benchmark"], job.rung, job.rooms, data["copies"], data["compile"])
+        result = train(spec, envs, primitives=data["primitives"], seed=job.seed, eval_episodes=0, progress=False,
+                       observed=False)
+        agent, primitives = result.agent, result.primitives
+
+    def play(env: gymnasium.Env, recorder: StateRecorder) -> tuple[ArrayLike, ArrayLike]:
+        if agent is not None:
+            return play_many(agent, _make_tests(data["benchmark"], job.rung, len(tested), data["compile"]))
+        played = evaluate(make_reference(spec.name, env, recorder), env, len(tested))
+        return played.escaped, played.lengths
+
+    found = measure_efficiencies(spec, tested, "objects", cache, play)
     return dataclasses.replace(job, primitives=primitives, seconds=round(time.process_time() - started, 1),
-                               efficiencies=tuple(round(value, 4) for value in found.tolist()))
+                               efficiencies=found)
 
 
 @lru_cache(maxsize=1)

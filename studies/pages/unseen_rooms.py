@@ -46,7 +46,8 @@ def does_it_infer_graphs(numbers: Any) -> bool:
 
 def does_it_infer_codes(numbers: Any) -> bool:
     """With latent codes it is significantly above counting, and elsewhere the difference is 0.04 at most."""
-    gains = {name: _get_learners(numbers)[name].minus_counting for name in _list_cues(numbers)}
+    learners = _get_learners(numbers)
+    gains = {name: learners[name].minus_counting for name in _list_cues(numbers)}
     return gains.pop("cues-1/latent-codes").low > 0 and all(abs(gain.value) <= 0.04 for gain in gains.values())
 
 

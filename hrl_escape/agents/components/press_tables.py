@@ -17,12 +17,15 @@ import dataclasses
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+
+from hrl_escape.agents.agent import AgentSettings
+from hrl_escape.settings import Range
 
 COLOUR_COUNT, PLUG_COUNT, SECTOR_COUNT = 8, 12, 16
 """Colours of a symbol; plugs, its shape and size; and directions from the middle of the floor."""
@@ -138,21 +141,21 @@ def make_press_batch(rooms: Sequence[RoomPresses]) -> PressBatch:
     return PressBatch(*map(torch.from_numpy, batch.values()))
 
 
-@dataclasses.dataclass(frozen=True)
-class TableSettings:
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TableSettings(AgentSettings):
     """Form of the tables, and their training."""
 
-    members: int = 4
-    """Members of the ensemble."""
-    tasks: int = 4
-    """Latent tasks."""
-    width: int = 6
-    """Columns of a table of symbols or directions."""
-    learning_rate: float = 0.05
+    tasks: Annotated[int, Range(1, 16)] = 4
+    """Latent tasks, such as codes or graphs, of which each room has one. More of them need more rooms."""
+    width: Annotated[int, Range(1, 64)] = 6
+    """Columns of a table of symbols or directions. More fit more, and need more rooms."""
+    members: Annotated[int, Range(4, 64)] = 4
+    """Members of the ensemble; each leaves out a quarter of the rooms. More are slower and more stable."""
+    learning_rate: Annotated[float, Range(1e-5, 1)] = 0.05
     """Step size of Adam."""
-    weight_decay: float = 0.05
+    weight_decay: Annotated[float, Range(0)] = 0.05
     """Weight of the squared tables in the loss. More of it trusts few rooms less."""
-    steps: int = 200
+    steps: Annotated[int, Range(1)] = 200
     """Most steps over all presses."""
 
 

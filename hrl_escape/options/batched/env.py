@@ -154,14 +154,7 @@ class PostureChooser:
 
     def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool, parts: int) -> None:
         self._room, self._aims = room, fields.aims
-        self._part = max(-(-room.count // (16 * parts)), 1) * 16 if is_compiled else 0  # whole vectors
-        self._weigh: Callable[[TensorState, Tensor, Tensor], Tensor]
-        if is_compiled:
-            shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
-            kernel = compile_step(weigh_postures, (room.layout,), room.device.type, torch.get_num_threads(), shapes)
-            self._weigh = kernel.bind(room.tables, fields)
-        else:
-            self._weigh = partial(weigh_postures, room.layout, room.tables, fields)
+        self._weigh, self._part = bind_parts(weigh_postures, room, fields, is_compiled, parts)
 
     def choose(self, running: OpenDecisions, where: Tensor) -> OpenDecisions:
         """Choose postures in the rooms of `where`, bool (rooms,), whose press begins or has made no progress."""
@@ -181,14 +174,7 @@ class PrimitiveChooser:
 
     def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
         self._room, self._aims = room, fields.aims
-        self._part = max(-(-room.count // (16 * _SMALL_PARTS)), 1) * 16 if is_compiled else 0  # whole vectors
-        self._choose: Callable[[TensorState, Search, Tensor], Choice]
-        if is_compiled:
-            shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
-            kernel = compile_step(choose_some, (room.layout,), room.device.type, torch.get_num_threads(), shapes)
-            self._choose = kernel.bind(room.tables, fields)
-        else:
-            self._choose = partial(choose_some, room.layout, room.tables, fields)
+        self._choose, self._part = bind_parts(choose_some, room, fields, is_compiled, _SMALL_PARTS)
 
     def choose(self, running: OpenDecisions, where: Tensor, primitive: Tensor) -> Choice:
         """Choose in the rooms of `where`, bool (rooms,), and take `primitive`, int64 (rooms,), elsewhere at no cost."""
@@ -202,6 +188,20 @@ class PrimitiveChooser:
             for every, parts in zip(choice, zip(*found, strict=True), strict=True):
                 every[rooms] = torch.cat(parts)[: len(rooms)]
         return choice
+
+
+def bind_parts(function: Callable[..., Any], room: TensorRoom, fields: CostFields, is_compiled: bool, parts: int
+               ) -> tuple[Callable[..., Any], int]:
+    """Bind a function of some rooms, compiled or not, to a batch.
+
+    Returns:
+        The function, and the number of rooms that it takes at a time, in `parts` parts of the batch; 0 for any number.
+    """
+    if not is_compiled:
+        return partial(function, room.layout, room.tables, fields), 0
+    shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
+    kernel = compile_step(function, (room.layout,), room.device.type, torch.get_num_threads(), shapes)
+    return kernel.bind(room.tables, fields), max(-(-room.count // (16 * parts)), 1) * 16  # whole vectors
 
 
 def split_rooms(rooms: Tensor, part: int) -> Sequence[Tensor]:

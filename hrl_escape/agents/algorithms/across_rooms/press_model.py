@@ -14,7 +14,6 @@ makes a detour to a button that is not needed dearer than one to a button that i
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
@@ -23,7 +22,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, AgentSettings, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.components.press_tables import (
     COLOUR_COUNT,
@@ -48,29 +47,13 @@ FAILED_EPISODES = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PressModelSettings(AgentSettings):
+class PressModelSettings(TableSettings):
     """Settings of `press-model`: latent tasks and training."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive of logged returns; learning does not use it."""
     network: Literal["objects"] = "objects"
     """It reads the observation `objects`."""
-    tasks: Annotated[int, Range(1, 16)] = 4
-    """Latent tasks, such as codes or graphs, of which each room has one. More of them need more rooms."""
-    width: Annotated[int, Range(1, 64)] = 6
-    """Columns of a table of symbols or directions. More fit more, and need more rooms."""
-    members: Annotated[int, Range(4, 64)] = 4
-    """Members of the ensemble; each leaves out a quarter of the rooms. More are slower and more stable."""
-    learning_rate: Annotated[float, Range(1e-5, 1)] = 0.05
-    """Step size of Adam."""
-    weight_decay: Annotated[float, Range(0)] = 0.05
-    """Decay of tables. More of it trusts few rooms less."""
-    steps: Annotated[int, Range(1)] = 200
-    """Most steps over all presses."""
-
-    def make_table_settings(self) -> TableSettings:
-        """Return the settings of tables."""
-        return TableSettings(**{field.name: getattr(self, field.name) for field in dataclasses.fields(TableSettings)})
 
 
 class _View(NamedTuple):
@@ -158,7 +141,7 @@ class PressModel(Agent):
         self._next_fit = value["next_fit"]
         self._budget, self._episode, self._length = value["budget"], None, 0
         self._tables = None if value["tables"] is None else unpack_press_tables(
-            value["tables"], self.settings.make_table_settings(), len(self._rows))
+            value["tables"], self.settings, len(self._rows))
 
     def note_budget(self, primitives: int) -> None:
         """Receive the budget: at its end the tables are trained once more."""
@@ -205,7 +188,7 @@ class PressModel(Agent):
     def _fit(self) -> None:
         rooms = [room for room in self._rooms.values() if room.order]
         if len(rooms) > 1:
-            self._tables = fit_press_tables(rooms, self.settings.make_table_settings(), len(self._rows), self._seed)
+            self._tables = fit_press_tables(rooms, self.settings, len(self._rows), self._seed)
 
     # --- acting ---------------------------------------------------------------------------
 
