@@ -6,12 +6,16 @@ row of a batch names its environment, because decisions end at different times.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+
+from hrl_escape.errors import UnsupportedSpaceError
 
 
 def name_action(names: Sequence[str], action: Any) -> str:
@@ -87,6 +91,23 @@ _ONLY = np.zeros(1, np.int64)
 def to_plain_action(action: Any) -> Any:
     """Return an action as an int, or as a float32 array if it has components."""
     return np.asarray(action, np.float32) if np.ndim(action) else int(action)
+
+
+def read_action(action: Any, space: gymnasium.Space | None) -> Any:
+    """Return an action of another library as an int, or as float32 in the shape of a Box; a batch of one is accepted.
+
+    Without a space, floats with components are an action in a Box.
+
+    Raises:
+        UnsupportedSpaceError: the action has another number of components.
+    """
+    values = np.asarray(action)
+    is_box = isinstance(space, gymnasium.spaces.Box) if space is not None else values.dtype.kind == "f" and values.ndim
+    shape = () if not is_box else values.shape if space is None else space.shape
+    if values.size != math.prod(shape):
+        raise UnsupportedSpaceError(f"the policy returned {action!r}, and actions of {space or 'Discrete spaces'} have "
+                                    f"the shape {shape}")
+    return values.reshape(shape).astype(np.float32) if is_box else int(values.reshape(()))
 
 
 def make_moment(observation: Any, action_mask: NDArray[np.bool_]) -> Moments:

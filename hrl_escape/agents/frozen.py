@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, DiscountSettings, FixedPolicy
+from hrl_escape.agents.decisions import read_action
 from hrl_escape.errors import AgentSettingsError
 
 ChooseAction = Callable[[Any, NDArray[np.bool_]], Any]
@@ -25,11 +26,13 @@ class _FrozenPolicy(FixedPolicy):
     """Base class: acts by `_choose`."""
 
     is_frozen = True
+    acts_in = ("discrete", "box")
     _choose: ChooseAction
+    _action_space: gymnasium.Space | None = None
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Return the policy's action."""
-        return int(np.asarray(self._choose(observation, action_mask)).reshape(()))
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
+        """Return the policy's action, an int or float32 in the shape of a Box."""
+        return read_action(self._choose(observation, action_mask), self._action_space)
 
 
 class FrozenAgent(_FrozenPolicy):
@@ -40,7 +43,7 @@ class FrozenAgent(_FrozenPolicy):
     Args:
         policy: a model with `predict(observation, deterministic=True)`, as in Stable-Baselines3, or a function from
             an observation, or an observation and a mask bool (actions,), to an action. A batch of one action is
-            accepted. Policies that remember earlier observations are not supported.
+            accepted, for a Box in comparisons only. Policies that remember earlier observations are not supported.
         name: name in tables; `smdp-NAME` chooses among options.
 
     Raises:
@@ -66,7 +69,7 @@ class _FrozenPlayer(_FrozenPolicy):
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: DiscountSettings | None = None) -> None:
-        self.settings = settings or DiscountSettings()
+        self.settings, self._action_space = settings or DiscountSettings(), action_space
         self._choose = _read_policy(vars(type(self))["policy"])  # read from the class, where a function is no method
 
 

@@ -12,6 +12,7 @@ stopped run starts again.
 from __future__ import annotations
 
 import inspect
+import json
 import threading
 import weakref
 from collections.abc import Callable, Mapping
@@ -26,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, AgentSettings, SMDPTransition
+from hrl_escape.agents.decisions import read_action
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import AgentSettingsError, MissingExtraError
 from hrl_escape.settings import Range
@@ -56,8 +58,8 @@ def SB3Agent(algorithm: Any, policy: str = "", *, over_options: bool = False, la
     """Return the spec of an algorithm of Stable-Baselines3 that trains with the loop of this package.
 
     Args:
-        algorithm: class such as `stable_baselines3.PPO` or `sb3_contrib.MaskablePPO`, which is given the mask; actions
-            are Discrete.
+        algorithm: class such as `stable_baselines3.PPO` or `sb3_contrib.MaskablePPO`, which is given the mask, or
+            SAC for actions in a Box.
         policy: policy of the library; by default `MultiInputPolicy` with dictionaries and `MlpPolicy` otherwise.
         over_options: choose among options.
         label: name in tables and curves.
@@ -99,7 +101,7 @@ class _Feed(gymnasium.Env):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Hand over an action, and wait for its outcome."""
-        return self._ask("action", int(action))
+        return self._ask("action", read_action(action, self.action_space))
 
     def action_masks(self) -> NDArray[np.bool_] | None:
         """Legal actions, as algorithms with masks ask for them."""
@@ -119,6 +121,7 @@ class SB3Learner(Agent):
     name = "sb3"
     settings: SB3Settings
     is_resumable = False
+    acts_in = ("discrete", "box")
 
     def __init__(self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int,
                  settings: SB3Settings | None = None) -> None:
@@ -127,8 +130,8 @@ class SB3Learner(Agent):
         is_table = isinstance(observation_space, gymnasium.spaces.Dict)
         policy = self.settings.policy or ("MultiInputPolicy" if is_table else "MlpPolicy")
         self._feed = _Feed(observation_space, action_space)
-        given = {"device": "cpu", **self.settings.arguments}
-        try:
+        try:  # the library changes nested arguments, which are frozen in a spec
+            given = {"device": "cpu", **json.loads(json.dumps(self.settings.arguments))}
             self.model = algorithm(policy, self._feed, seed=seed, gamma=self.settings.gamma, **given)
         except (TypeError, ValueError, AssertionError) as error:
             raise AgentSettingsError("sb3", str(self.settings.arguments), f"arguments of {algorithm.__name__} that fit "
@@ -141,18 +144,18 @@ class SB3Learner(Agent):
         """Keep the length of training, which the library's schedules follow."""
         self._budget = primitives
 
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Return the action that the library chose."""
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
+        """Return the action that the library chose, an int or float32 in the shape of a Box."""
         self._feed.mask = action_mask
         if self._asked is None:
             self._begin()
         if self._asked == ("reset", None):
             self._answer(observation)
         if self._asked is not None and self._asked[0] == "action":
-            return int(self._asked[1])
+            return self._asked[1]
         return self._predict(observation, action_mask, deterministic=False)  # the library ended its training
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> Any:
         """Return the deterministic action."""
         return self._predict(observation, action_mask, deterministic=True)
 
@@ -176,10 +179,10 @@ class SB3Learner(Agent):
         self.model.policy.load_state_dict({name: torch.as_tensor(np.array(value))
                                            for name, value in state["policy"].items()})
 
-    def _predict(self, observation: Any, action_mask: NDArray[np.bool_], deterministic: bool) -> int:
+    def _predict(self, observation: Any, action_mask: NDArray[np.bool_], deterministic: bool) -> Any:
         masks = {"action_masks": action_mask} if self._takes_masks else {}
         action, _ = self.model.predict(observation, deterministic=deterministic, **masks)
-        return int(np.asarray(action).reshape(()))
+        return read_action(action, self._feed.action_space)
 
     def _begin(self) -> None:
         import torch

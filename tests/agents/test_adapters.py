@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents import AgentSpec, FrozenAgent, SB3Agent, evaluate, load_agent, train
-from hrl_escape.errors import AgentSettingsError
+from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 
 stable_baselines3 = pytest.importorskip("stable_baselines3")
 
@@ -32,6 +32,15 @@ class Swing(gymnasium.Env):
 
     def _look(self) -> Any:
         return np.eye(8, dtype=np.float32)[self.place]
+
+
+class Push(Swing):
+    """The same, by the sign of a force."""
+
+    action_space = gymnasium.spaces.Box(-2, 2, (1,), np.float32)
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return super().step(action[0] > 0)
 
 
 @pytest.mark.parametrize(("algorithm", "arguments"), [("PPO", {"n_steps": 32, "n_epochs": 2}),
@@ -93,3 +102,23 @@ def test_frozen_policies_of_both_kinds_act_as_they_are():
     assert evaluate(FrozenAgent(lambda observation, mask: int(mask[0]) - 1), Swing(), 1).returns == (0.0,)
     with pytest.raises(AgentSettingsError, match="a model with `predict`"):
         FrozenAgent("ppo")
+    with pytest.raises(UnsupportedSpaceError, match=r"returned \[0, 1\]"):
+        evaluate(FrozenAgent(lambda observation: [0, 1]), Swing(), 1)
+
+
+def test_a_model_with_actions_in_a_box_trains_and_is_evaluated_as_it_is():
+    arguments: dict[str, Any] = {"learning_starts": 20, "buffer_size": 200, "batch_size": 8,
+                                 "policy_kwargs": {"net_arch": [8]}}
+    alone = stable_baselines3.SAC("MlpPolicy", Push(), seed=3, device="cpu", **arguments).learn(50)
+    result = train(SB3Agent(stable_baselines3.SAC, **arguments), Push(), primitives=50, seed=3, eval_every=21,
+                   eval_episodes=1, progress=False)
+    looped: Any = result.agent
+    expected, found = alone.policy.state_dict(), looped.model.policy.state_dict()
+    assert all((found[name] == expected[name]).all() for name in expected)
+    env, frozen = gymnasium.make("Pendulum-v1"), FrozenAgent(stable_baselines3.SAC(
+        "MlpPolicy", "Pendulum-v1", seed=3, device="cpu", policy_kwargs={"net_arch": [8]}))
+    returns, seen = evaluate(frozen, env, 2).returns, np.array([0.6, -0.8, 2.0], np.float32)
+    assert -2 < frozen.act(seen, np.ones(0, bool))[0] < 2 and returns[0] < -100
+    batched = FrozenAgent(lambda seen: frozen.act(seen, np.ones(0, bool))[None]).player(
+        env.observation_space, env.action_space, 0)
+    assert evaluate(batched, env, 2).returns == returns, "a batch of one action is that action"
