@@ -2,12 +2,14 @@
 
     python -m benchmarks.continuous_control                       # control tasks: hours on a core
     python -m benchmarks.continuous_control --tasks Pendulum-v1 --learners sac sb3-sac --seeds 3 --primitives 5000
-    python -m benchmarks.continuous_control --table               # means of the finished runs
+    python -m benchmarks.continuous_control --table               # means and differences of the finished runs
+    python -m benchmarks.continuous_control --rates               # primitives learned from in a second, minutes
 
-Both libraries run at their default settings for the same number of primitives: networks of 256 x 256, minibatches of
-256, an update per primitive. Warm-ups differ: 1,000 random primitives here, 100 there, so `--warmup` sets both. `final`
-is the mean return of ten greedy episodes at the end of the budget, the same ones for all. Seconds are CPU time.
-Finished runs are kept, a line each, in the file `--out`; the command continues a stopped run.
+Both libraries run at their default settings for the same number of primitives: SAC and TD3 have networks of 256 x 256,
+minibatches of 256 and an update per primitive, or one in `--every` primitives. Warm-ups differ: 1,000 random primitives
+here, 100 there, so `--warmup` sets both. `final` is the mean return of ten greedy episodes at the end of the budget,
+the same ones for all. Seconds are CPU time. Finished runs are kept, a line each, in the file `--out`; the command
+continues a stopped run.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import json
 import statistics
 import time
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,29 +29,31 @@ import torch
 
 from hrl_escape.agents import train
 from hrl_escape.agents.training.evaluation import compute_episode_seed
+from hrl_escape.benchmark.inference import ALPHA, compare_pairs
+from studies.statistics import compute_sign_flip_p
 
 TASKS = {"Pendulum-v1": 20_000, "LunarLanderContinuous-v3": 100_000, "BipedalWalker-v3": 300_000}
 """Task -> primitives of a run."""
 LEARNERS = ("sac", "td3", "ppo", "sb3-sac", "sb3-td3", "sb3-ppo")
-EPISODES = 10
-"""Episodes of the last evaluation."""
+EPISODES, WARMUP, LEAST = 10, 1_000, 10
+"""Episodes of the last evaluation, random primitives at the beginning, and fewest runs of each for a verdict."""
+RATED, COUNTS, MOST_OF_PEER, SHORT = "hrl_escape/PointMaze-v1", (1, 64, 4_096), 64, 100
+"""Environment of `--rates`, how many of them, most of Stable-Baselines3, which steps them one by one, and random
+primitives at the beginning."""
 
 
-def run_own(name: str, task: str, seed: int, primitives: int, warmup: int) -> float:
+def run_own(name: str, task: str, seed: int, primitives: int, warmup: int, every: int) -> float:
     """Train an agent of this package; returns the mean return at the end."""
-    settings = {} if name == "ppo" else {"warmup": warmup}
+    settings = {} if name == "ppo" else {"warmup": warmup, "updates_per_step": 1 / every}
     result = train(name, gymnasium.make(task), primitives=primitives, seed=seed, settings=settings,
                    eval_every=primitives, eval_episodes=EPISODES, progress=False, observed=False)
     return result.evaluations[-1].mean_return
 
 
-def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int) -> float:
+def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int, every: int) -> float:
     """Train an agent of Stable-Baselines3; returns the mean return at the end, in the same episodes as ours."""
-    import stable_baselines3
-
-    kind = getattr(stable_baselines3, name.removeprefix("sb3-").upper())
-    more = {} if name == "sb3-ppo" else {"learning_starts": warmup}
-    model = kind("MlpPolicy", gymnasium.make(task), seed=seed, device="cpu", **more)
+    more = {} if name == "sb3-ppo" else {"learning_starts": warmup, "train_freq": every}
+    model = make_peer(name, gymnasium.make(task), seed=seed, **more)
     model.learn(primitives)
     env, returns = gymnasium.make(task), np.zeros(EPISODES)
     for episode in range(EPISODES):
@@ -62,6 +66,47 @@ def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int) -> f
     return float(returns.mean())
 
 
+def make_peer(name: str, env: Any, policy: str = "MlpPolicy", **settings: Any) -> Any:
+    """Make an agent of Stable-Baselines3."""
+    import stable_baselines3
+
+    return getattr(stable_baselines3, name.removeprefix("sb3-").upper())(policy, env, device="cpu", **settings)
+
+
+def measure_rate(learner: str, count: int) -> float:
+    """Primitives that an agent learns from in a second of CPU time at its defaults, in some mazes at once."""
+    if learner == "sb3-ppo":
+        settings: dict[str, Any] = {"n_steps": 2_048 // count}
+    elif learner.startswith("sb3-"):
+        settings = {"learning_starts": SHORT}
+    else:
+        settings = {} if learner == "ppo" else {"warmup": SHORT}
+
+    def run(primitives: int) -> int:
+        if learner.startswith("sb3-"):
+            from stable_baselines3.common.vec_env import DummyVecEnv
+
+            envs = DummyVecEnv([lambda: gymnasium.make(RATED)] * count)
+            return make_peer(learner, envs, "MultiInputPolicy", **settings).learn(primitives).num_timesteps
+        env = gymnasium.make(RATED) if count == 1 else gymnasium.make_vec(RATED, num_envs=count)
+        return train(learner, env, primitives=primitives, settings=settings, eval_episodes=0, progress=False,
+                     observed=False).primitives
+
+    budget = max(2_048, 32 * count)
+    run(2 * SHORT)  # modules and kernels are loaded
+    started = time.process_time()
+    return run(budget) / (time.process_time() - started)
+
+
+def show_rates(learners: Iterable[str]) -> None:
+    """Measure and print the rates of learners, ours in up to 4,096 environments."""
+    print("| learner |" + "".join(f" {count:,} |" for count in COUNTS) + "\n|---" + "|---" * len(COUNTS) + "|")
+    for learner in learners:
+        rates = [f"{measure_rate(learner, count):,.0f}" if count <= MOST_OF_PEER or "-" not in learner else ""
+                 for count in COUNTS]
+        print(f"| {learner} | {' | '.join(rates)} |", flush=True)
+
+
 def list_runs(args: argparse.Namespace) -> Iterator[tuple[str, str, int, int]]:
     """Yield task, learner, seed and primitives of every run."""
     for seed in range(args.seeds):
@@ -70,44 +115,77 @@ def list_runs(args: argparse.Namespace) -> Iterator[tuple[str, str, int, int]]:
                 yield task, learner, seed, args.primitives or TASKS[task]
 
 
-def show(rows: list[dict[str, Any]]) -> None:
-    """Print mean, spread and CPU time of each cell."""
+def summarise(rows: list[dict[str, Any]]) -> str:
+    """A table with mean, median, spread and CPU time of each cell."""
     cells = defaultdict(list)
     for row in rows:
-        cells[row["task"], row["primitives"], row["learner"]].append(row)
-    print("| task | primitives | learner | runs | final, each | mean | CPU s a run |\n|---|---|---|---|---|---|---|")
-    for (task, primitives, learner), found in sorted(cells.items()):
+        cells[row["task"], row["primitives"], row["every"], row["learner"]].append(row)
+    lines = ["| task | primitives | learner | runs | final, each | mean | median | CPU s a run |",
+             "|---|---|---|---|---|---|---|---|"]
+    for (task, primitives, every, learner), found in sorted(cells.items()):
         finals = [row["final"] for row in found]
-        print(f"| {task} | {primitives:,} | {learner} | {len(found)} | {', '.join(f'{each:.4g}' for each in finals)} | "
-              f"{statistics.fmean(finals):.4g} | {statistics.fmean(row['seconds'] for row in found):.0f} |")
+        budget = f"{primitives:,}" if every == 1 else f"{primitives:,}, an update in {every}"
+        lines.append(f"| {task} | {budget} | {learner} | {len(found)} | {' '.join(f'{each:.0f}' for each in finals)} | "
+                     f"{statistics.fmean(finals):.0f} | {statistics.median(finals):.0f} | "
+                     f"{statistics.fmean(row['seconds'] for row in found):.0f} |")
+    return "\n".join(lines)
+
+
+def compare(rows: list[dict[str, Any]]) -> str:
+    """A table of the differences between the libraries in the same seeds, with Student's interval and sign-flip tests.
+
+    Seeds of the two libraries have nothing in common but the evaluation. A verdict needs ten of each.
+    """
+    finals: dict[Any, dict[str, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
+    for row in rows:
+        finals[row["task"], row["primitives"], row["every"]][row["learner"]][row["seed"]] = row["final"]
+    lines = ["| task | primitives | agent | pairs | ours - theirs | 95 % interval | p | verdict |",
+             "|---|---|---|---|---|---|---|---|"]
+    for (task, primitives, _), cell in sorted(finals.items()):
+        for name in LEARNERS[: len(LEARNERS) // 2]:
+            seeds = sorted(cell[name].keys() & cell[f"sb3-{name}"].keys())
+            if len(seeds) < 2:
+                continue
+            gaps = np.array([cell[name][seed] - cell[f"sb3-{name}"][seed] for seed in seeds])
+            p = min(1.0, *(2 * compute_sign_flip_p(gaps, side) for side in ("above", "below")))
+            test, side = compare_pairs([gaps]), "higher" if gaps.mean() > 0 else "lower"
+            verdict = "none: few runs" if len(seeds) < LEAST else f"ours {side}" if p < ALPHA else "no difference found"
+            lines.append(f"| {task} | {primitives:,} | {name} | {len(seeds)} | {test.difference:+.0f} | "
+                         f"{test.low:+.0f} to {test.high:+.0f} | {p:.3f} | {verdict} |")
+    return "\n".join(lines)
 
 
 def main() -> None:
-    """Run what is missing, then print the table."""
+    """Run what is missing, then print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=list(TASKS))
-    parser.add_argument("--learners", nargs="+", default=list(LEARNERS))
+    parser.add_argument("--learners", nargs="+", choices=LEARNERS, default=list(LEARNERS))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--primitives", type=int, default=0)
-    parser.add_argument("--warmup", type=int, default=1_000)
+    parser.add_argument("--warmup", type=int, default=WARMUP)
+    parser.add_argument("--every", type=int, default=1, help="primitives to an update of SAC and TD3")
     parser.add_argument("--out", type=Path, default=Path(__file__).with_name("continuous-control.jsonl"))
     parser.add_argument("--table", action="store_true")
+    parser.add_argument("--rates", action="store_true", help="primitives learned from in a second of CPU time")
     args = parser.parse_args()
     torch.set_num_threads(1)
+    if args.rates:
+        return show_rates(args.learners)
     rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
-    known = {(row["task"], row["learner"], row["seed"], row["primitives"]) for row in rows}
+    known = {(row["task"], row["learner"], row["seed"], row["primitives"], row["every"]) for row in rows}
     for task, learner, seed, primitives in () if args.table else list_runs(args):
-        if (task, learner, seed, primitives) in known:
+        every = 1 if learner.endswith("ppo") else args.every
+        if (task, learner, seed, primitives, every) in known:
             continue
         started = time.process_time()
         run = run_peer if learner.startswith("sb3-") else run_own
-        final = run(learner, task, seed, primitives, args.warmup)
-        row = {"task": task, "learner": learner, "seed": seed, "primitives": primitives, "warmup": args.warmup,
-               "final": final, "seconds": round(time.process_time() - started, 1)}
-        rows.append(row)
+        final = run(learner, task, seed, primitives, args.warmup, every)
+        rows.append({"task": task, "learner": learner, "seed": seed, "primitives": primitives, "warmup": args.warmup,
+                     "every": every, "final": final, "seconds": round(time.process_time() - started, 1)})
         with args.out.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-    show(rows)
+            file.write(json.dumps(rows[-1]) + "\n")
+    print(summarise(rows), compare(rows), sep="\n\n")
+    return None
 
 
 if __name__ == "__main__":

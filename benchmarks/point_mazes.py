@@ -3,14 +3,14 @@
     python -m benchmarks.point_mazes --mazes u medium                 # ten seeds of each learner
     python -m benchmarks.point_mazes --learners hiro --seeds 0 1      # two runs
     python -m benchmarks.point_mazes --trials                         # the settings of `TRIALS`, on seeds from 100
-    python -m benchmarks.point_mazes --table                          # tables of the finished runs
+    python -m benchmarks.point_mazes --table                          # tables and figure of the finished runs
     python -m benchmarks.point_mazes --exploration                    # how often random goals escape a room
 
-256 mazes step together. After each step, every learner makes 4 updates of each of its levels, from minibatches of 256
-and with networks of 64 x 64. After each third of the budget, the policy without noise runs 128 episodes, the same ones
-for every learner and seed. `success` is the share that reaches the goal, `area` the mean of it over the evaluations,
-and `steps` the mean length of an episode. Seconds are CPU time. Finished runs are kept, a line each, in the file
-`--out`, by default `benchmarks/point-mazes.jsonl`; the command continues a stopped run.
+256 mazes step together, or 1,024 large ones. After each step, every learner makes 4 updates of each of its levels, from
+minibatches of 256 and with networks of 64 x 64. After equal parts of the budget, the policy without noise runs 128
+episodes, the same ones for every learner and seed. `success` is the share that reaches the goal, `area` the mean of it
+over the evaluations, and `steps` the mean length of an episode. Seconds are CPU time. Finished runs are kept, a line
+each, in the file `--out`, by default `benchmarks/point-mazes.jsonl`; the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -38,10 +38,26 @@ from hrl_escape.env.continuous_vector_env import EscapeRoomContinuousVectorEnv
 from hrl_escape.env.presets import continuous_four_rooms
 from studies.statistics import compute_sign_flip_p
 
-NUM_ENVS, EPISODES, POINTS = 256, 128, 3
-"""Mazes that step together, episodes of an evaluation, and evaluations of a run."""
-BUDGETS = {"u": 49_152, "medium": 98_304, "large": 196_608, "four-rooms": 98_304}
-"""Maze -> primitives of a run, all mazes together."""
+
+class Scale(NamedTuple):
+    """Size of a run.
+
+    Attributes:
+        num_envs: mazes that step together.
+        primitives: of all mazes together.
+        evaluations: after equal parts of the primitives.
+    """
+
+    num_envs: int
+    primitives: int
+    evaluations: int
+
+
+EPISODES, FIGURE = 128, Path(__file__).parents[1] / "docs/images/point-mazes.svg"
+"""Episodes of an evaluation, and the file of the curves."""
+SCALES = {"u": Scale(256, 49_152, 3), "medium": Scale(256, 98_304, 3), "large": Scale(1_024, 1_048_576, 8),
+          "four-rooms": Scale(256, 98_304, 3)}
+"""Maze -> size of its runs."""
 COMMON: dict[str, Any] = {"hidden": [64, 64], "batch_size": 256, "max_batch_size": 256, "max_updates": 4}
 SLOW, FAST = {"learning_rate": 3e-4, "target_rate": 0.005}, {"learning_rate": 1e-3, "target_rate": 0.05}
 GOALS = {"goal_range": [1.5, 1.5]}
@@ -55,6 +71,8 @@ CHANGES: dict[str, dict[str, Any]] = {
     "hiro-uncorrected": {"correction": False}, "hac-untested": {"subgoal_tests": 0.0}}
 """Settings that make a variant of the agent before the hyphen; ablations keep the agent's settings."""
 LEARNERS = ("hiro", "hiro-uncorrected", "hrac", "hac", "hac-untested", "td3", "td3-hindsight", "sac", "sac-hindsight")
+CURVES = ("hiro", "hrac", "hac", "td3-hindsight", "td3", "sac-hindsight")
+"""Learners in the figure."""
 PAIRS = (("hiro", "hiro-uncorrected"), ("hrac", "hiro"), ("hac", "hac-untested"), ("hac", "hiro"),
          ("hiro", "td3-hindsight"), ("hac", "td3-hindsight"), ("td3-hindsight", "td3"), ("sac-hindsight", "sac"))
 """Learners that are compared seed by seed."""
@@ -94,10 +112,12 @@ def run(learner: str, maze: str, seed: int, primitives: int, trial: int = 0) -> 
     """Train a learner; returns primitives, success rate and steps of each evaluation."""
     base = learner.partition("-")[0]
     settings = COMMON | TRIALS.get(learner, TRIALS[base])[trial] | CHANGES.get(learner, {})
-    env = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=NUM_ENVS, maze=maze)
+    scale = SCALES[maze]
+    env = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=scale.num_envs, maze=maze)
     measuring, unused = Measuring(maze), gymnasium.make("hrl_escape/PointMaze-v1", maze=maze, max_steps=1)
-    train(base, env, primitives=primitives, seed=seed, settings=settings, eval_every=primitives // POINTS,
-          eval_env=unused, eval_episodes=1, callbacks=[measuring], progress=False, observed=False)
+    train(base, env, primitives=primitives, seed=seed, settings=settings,
+          eval_every=primitives // scale.evaluations, eval_env=unused, eval_episodes=1, callbacks=[measuring],
+          progress=False, observed=False)
     return measuring.scores
 
 
@@ -138,20 +158,49 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
     """A table with a line for each maze and learner: means with 95 % bootstrap intervals over seeds."""
     lines = ["| maze | learner | runs | success at the end | area | steps | success of each seed | CPU s a run |",
              "|---|---|---|---|---|---|---|---|"]
-    for maze in BUDGETS:
+    for maze in SCALES:
         for learner in LEARNERS:
             if not (found := select(rows, maze, learner)):
                 continue
             cells = []
             for number, digits in enumerate((2, 2, 0)):
-                values = np.array([found[seed][number] for seed in sorted(found)])
-                draws = np.random.default_rng(0).integers(len(values), size=(10_000, len(values)))
-                low, high = np.percentile(values[draws].mean(axis=1), (2.5, 97.5))
-                cells.append(f"{values.mean():.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
+                low, mean, high = estimate_mean(np.array([found[seed][number] for seed in sorted(found)]))
+                cells.append(f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
             each = " ".join(f"{found[seed][0]:.2f}" for seed in sorted(found))
             cpu = np.mean([row["seconds"] for row in rows if (row["maze"], row["learner"]) == (maze, learner)])
             lines.append(f"| {maze} | {learner} | {len(found)} | {' | '.join(cells)} | {each} | {cpu:.0f} |")
     return "\n".join(lines)
+
+
+def draw_curves(rows: Sequence[dict[str, Any]], path: Path = FIGURE) -> None:
+    """Draw the success rate of the learners of `CURVES` against primitives, with a panel for each maze.
+
+    A line is the mean over seeds, its area the 95 % bootstrap interval.
+    """
+    from hrl_escape.figures import LINES, get_figure_class, save_figure
+
+    mazes = [maze for maze in SCALES if any(row["maze"] == maze for row in rows)]
+    figure = get_figure_class()(figsize=(2.6 * len(mazes), 2.8), layout="constrained")
+    panels = figure.subplots(1, len(mazes), sharey=True, squeeze=False)[0]
+    for axes, maze in zip(panels, mazes, strict=True):
+        for learner, colour in zip(CURVES, LINES, strict=False):
+            runs = np.array([row["scores"] for row in rows if (row["maze"], row["learner"]) == (maze, learner)])
+            if len(runs):
+                low, mean, high = estimate_mean(runs[:, :, 1])
+                axes.plot(runs[0, :, 0] / 1_000, mean, color=colour, label=learner, marker=".")
+                axes.fill_between(runs[0, :, 0] / 1_000, low, high, color=colour, alpha=0.2, linewidth=0)
+        axes.set(title=maze, xlabel="primitives / 1,000", ylim=(0, 1), xlim=(0, None))
+    panels[0].set_ylabel("success rate")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize="small")
+    save_figure(path, figure)
+
+
+def estimate_mean(values: np.ndarray) -> np.ndarray:
+    """Low end of a 95 % bootstrap interval, mean, and high end over seeds, (3, ...) of (seeds, ...)."""
+    draws = np.random.default_rng(0).integers(len(values), size=(10_000, len(values)))
+    low, high = np.percentile(values[draws].mean(axis=1), (2.5, 97.5), axis=0)
+    return np.stack((low, values.mean(axis=0), high))
 
 
 def compare(rows: Sequence[dict[str, Any]]) -> str:
@@ -162,7 +211,7 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
     """
     lines = ["| maze | first, second | measure | pairs | difference | 95 % interval | p, Holm | verdict |",
              "|---|---|---|---|---|---|---|---|"]
-    for maze in BUDGETS:
+    for maze in SCALES:
         found = []
         for pair in PAIRS:
             runs = [select(rows, maze, learner) for learner in pair]
@@ -183,7 +232,7 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
 def main() -> None:
     """Run what is missing, then print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--mazes", nargs="+", choices=BUDGETS, default=["u"])
+    parser.add_argument("--mazes", nargs="+", choices=SCALES, default=["u"])
     parser.add_argument("--learners", nargs="+", choices=LEARNERS, default=list(LEARNERS))
     parser.add_argument("--seeds", nargs="+", type=int)
     parser.add_argument("--trials", action="store_true", help="try all settings of `TRIALS`, on seed 100 by default")
@@ -206,7 +255,7 @@ def main() -> None:
               for trial in (range(len(TRIALS.get(learner, ()))) if args.trials else (0,))]
     for maze, learner, seed, trial in () if args.table else wanted:
         cell = {"maze": maze, "learner": learner, "seed": seed, "trial": trial,
-                "primitives": args.primitives or BUDGETS[maze]}
+                "primitives": args.primitives or SCALES[maze].primitives}
         if any(row.items() >= cell.items() for row in rows):
             continue
         started = time.process_time()
@@ -217,6 +266,8 @@ def main() -> None:
         print(json.dumps(rows[-1]), flush=True)
     rows = [row for row in rows if row["seed"] in seeds and row["trial"] == 0]
     print(summarise(rows), compare(rows), sep="\n\n")
+    if args.table:
+        draw_curves(rows)
 
 
 if __name__ == "__main__":
