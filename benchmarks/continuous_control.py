@@ -52,7 +52,7 @@ def run_own(name: str, task: str, seed: int, primitives: int, warmup: int, every
 
 def run_peer(name: str, task: str, seed: int, primitives: int, warmup: int, every: int) -> float:
     """Train an agent of Stable-Baselines3; returns the mean return at the end, in the same episodes as ours."""
-    more = {} if name == "sb3-ppo" else {"learning_starts": warmup, "train_freq": every}
+    more: dict[str, Any] = {} if name == "sb3-ppo" else {"learning_starts": warmup, "train_freq": every}
     model = make_peer(name, gymnasium.make(task), seed=seed, **more)
     model.learn(primitives)
     env, returns = gymnasium.make(task), np.zeros(EPISODES)

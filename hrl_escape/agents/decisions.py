@@ -93,7 +93,7 @@ def to_plain_action(action: Any) -> Any:
     return np.asarray(action, np.float32) if np.ndim(action) else int(action)
 
 
-def read_action(action: Any, space: gymnasium.Space | None) -> Any:
+def convert_action(action: Any, space: gymnasium.Space | None) -> Any:
     """Return an action of another library as an int, or as float32 in the shape of a Box; a batch of one is accepted.
 
     Without a space, floats with components are an action in a Box.
@@ -102,12 +102,13 @@ def read_action(action: Any, space: gymnasium.Space | None) -> Any:
         UnsupportedSpaceError: the action has another number of components.
     """
     values = np.asarray(action)
-    is_box = isinstance(space, gymnasium.spaces.Box) if space is not None else values.dtype.kind == "f" and values.ndim
-    shape = () if not is_box else values.shape if space is None else space.shape
+    shape: tuple[int, ...] = () if space is not None or values.dtype.kind != "f" else values.shape
+    if isinstance(space, gymnasium.spaces.Box):
+        shape = space.shape
     if values.size != math.prod(shape):
         raise UnsupportedSpaceError(f"the policy returned {action!r}, and actions of {space or 'Discrete spaces'} have "
                                     f"the shape {shape}")
-    return values.reshape(shape).astype(np.float32) if is_box else int(values.reshape(()))
+    return to_plain_action(values.reshape(shape).copy())
 
 
 def make_moment(observation: Any, action_mask: NDArray[np.bool_]) -> Moments:

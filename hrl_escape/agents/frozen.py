@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, DiscountSettings, FixedPolicy
-from hrl_escape.agents.decisions import read_action
+from hrl_escape.agents.decisions import convert_action
 from hrl_escape.errors import AgentSettingsError
 
 ChooseAction = Callable[[Any, NDArray[np.bool_]], Any]
@@ -32,7 +32,7 @@ class _FrozenPolicy(FixedPolicy):
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> Any:
         """Return the policy's action, an int or float32 in the shape of a Box."""
-        return read_action(self._choose(observation, action_mask), self._action_space)
+        return convert_action(self._choose(observation, action_mask), self._action_space)
 
 
 class FrozenAgent(_FrozenPolicy):

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, AgentSettings, SMDPTransition
-from hrl_escape.agents.decisions import read_action
+from hrl_escape.agents.decisions import convert_action
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import AgentSettingsError, MissingExtraError
 from hrl_escape.settings import Range
@@ -101,7 +101,7 @@ class _Feed(gymnasium.Env):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Hand over an action, and wait for its outcome."""
-        return self._ask("action", read_action(action, self.action_space))
+        return self._ask("action", convert_action(action, self.action_space))
 
     def action_masks(self) -> NDArray[np.bool_] | None:
         """Legal actions, as algorithms with masks ask for them."""
@@ -182,7 +182,7 @@ class SB3Learner(Agent):
     def _predict(self, observation: Any, action_mask: NDArray[np.bool_], deterministic: bool) -> Any:
         masks = {"action_masks": action_mask} if self._takes_masks else {}
         action, _ = self.model.predict(observation, deterministic=deterministic, **masks)
-        return read_action(action, self._feed.action_space)
+        return convert_action(action, self._feed.action_space)
 
     def _begin(self) -> None:
         import torch
