@@ -8,8 +8,8 @@
 Both libraries run at their default settings for the same number of primitives: SAC and TD3 have networks of 256 x 256,
 minibatches of 256 and an update per primitive, or one in `--every` primitives. Warm-ups differ: 1,000 random primitives
 here, 100 there, so `--warmup` sets both. `final` is the mean return of ten greedy episodes at the end of the budget,
-the same ones for all; published numbers have more `--episodes`. Seconds are CPU time. Finished runs are kept, a line each, in the file `--out`; the command
-continues a stopped run.
+the same ones for all; published numbers have more `--episodes`. Seconds are CPU time. Finished runs are kept, a line
+each, in the file `--out`; the command continues a stopped run.
 """
 
 from __future__ import annotations
@@ -182,7 +182,8 @@ def main() -> None:
         run = run_peer if learner.startswith("sb3-") else run_own
         final = run(learner, task, seed, primitives, args.warmup, every, args.episodes)
         rows.append({"task": task, "learner": learner, "seed": seed, "primitives": primitives, "warmup": args.warmup,
-                     "every": every, "episodes": args.episodes, "final": final, "seconds": round(time.process_time() - started, 1)})
+                     "every": every, "episodes": args.episodes, "final": final,
+                     "seconds": round(time.process_time() - started, 1)})
         with args.out.open("a") as file:
             file.write(json.dumps(rows[-1]) + "\n")
     print(summarise(rows), compare(rows), sep="\n\n")
