@@ -154,10 +154,8 @@ def check_agent_name(name: str, others: Iterable[str] = ()) -> None:
         return
     over_options = name.startswith(SMDP_PREFIX)
     note = "" if over_options else f"; each also with {SMDP_PREFIX} in front, which chooses among options"
-    known = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents(),
-             *list_across_rooms_agents())
-    raise UnknownNameError("agent", name, dict.fromkeys([*(join_name(each, over_options) for each in known),
-                                                        RANDOM_OPTIONS, *others]), note)
+    known = [join_name(each, over_options) for each in list_all_agents()]
+    raise UnknownNameError("agent", name, dict.fromkeys([*known, RANDOM_OPTIONS, *others]), note)
 
 
 def _is_agent(thing: Any) -> bool:
@@ -242,6 +240,12 @@ def list_continuous_agents() -> list[str]:
 def list_across_rooms_agents() -> list[str]:
     """Names of the shipped agents that learn in training rooms for unseen ones, from options over `objects`."""
     return [name for name, module in _find_shipped().items() if module.startswith(f"{CATALOGUE}.across_rooms.")]
+
+
+def list_all_agents() -> list[str]:
+    """Names of the agents of all these kinds."""
+    return [*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents(),
+            *list_across_rooms_agents()]
 
 
 def find_hierarchy_part(agent: str | type[Agent]) -> str | None:

@@ -28,8 +28,8 @@ from hrl_escape.agents.registry import (
     SMDP_PREFIX,
     find_agent_module,
     get_agent_class,
-    list_across_rooms_agents,
     list_agents,
+    list_all_agents,
     list_continuous_agents,
     list_hierarchy_agents,
     list_many_env_agents,
@@ -93,8 +93,8 @@ def run(args: ListArgs) -> None:
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
         "option-sets": _describe_option_sets,
-        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in (
-            *list_agents(), *list_hierarchy_agents(), *list_continuous_agents(), *list_across_rooms_agents())},
+        "agents": lambda: {name: _summarise(_parse_agent(name)) for name in list_all_agents()
+                           if name not in list_offline_agents()},
         "velocities": lambda: {name: _summarise(_parse_agent(name)) for name in (
             *(name for name in list_agents() if "box" in get_agent_class(name).acts_in), *list_continuous_agents())},
         "parts": lambda: {f"+{name}": part.about for name, part in PARTS.items()},
@@ -120,9 +120,7 @@ def run(args: ListArgs) -> None:
 
 def _describe_recipes() -> dict[str, str]:
     """Return the named settings of every agent with several, the default first."""
-    names = (*list_agents(), *list_hierarchy_agents(), *list_offline_agents(), *list_continuous_agents(),
-             *list_across_rooms_agents())
-    found = {name: list(list_recipes(name)) for name in names}
+    found = {name: list(list_recipes(name)) for name in list_all_agents()}
     return {name: join_words(recipes, "or") for name, recipes in found.items() if len(recipes) > 1}
 
 
