@@ -110,8 +110,8 @@ def measure_options(quick: bool) -> list[dict[str, Any]]:
 
     rows = []
     for room, how in (("PaperTwoButton", "body"), ("ArmTwoButton", "hand")):
-        unit = measure("single", 1, room, True)["wall"]
-        rate = measure("own pace, compiled", 256 if quick else 4096, room, True)["wall"]
+        unit = measure("single", 1, room, quick)["wall"]
+        rate = measure("own pace, compiled", 256 if quick else 4096, room, quick)["wall"]
         rows += [_make_row(f"options by {how}, one room", unit, "options/s", 1.0, "one room"),
                  _make_row(f"options by {how}, batch", rate, "options/s", rate / unit, "one room")]
     return rows
@@ -169,6 +169,7 @@ def draw_history(runs: list[dict[str, Any]], path: Path = FIGURE) -> None:
             axes.plot(*zip(*found, strict=True), marker="o", color=colour, label=name)
     axes.set(yscale="log", ylabel="ratio to the peer of the table", xticks=range(len(runs)),
              xticklabels=[f"{run['date']}\n{run['instructions']}" for run in runs])
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(frameon=False, fontsize="small")
     path.parent.mkdir(exist_ok=True)
     save_figure(path, figure)

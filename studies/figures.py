@@ -69,8 +69,8 @@ def make_figure(theme: Theme, draw: Callable[[Any], None], height: float = 3.7, 
 
 
 def mark_counts(axis: Any) -> None:
-    """Mark an axis with whole numbers, 10,000 and not 10^4."""
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    """Mark an axis with plain numbers, 10,000 and 0.1 in place of powers of ten."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}" if value >= 1 else f"{value:g}"))
 
 
 def write_label(axes: Axes, x: float, y: float, text: str, colour: str, **how: Any) -> None:

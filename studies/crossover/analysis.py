@@ -20,7 +20,7 @@ from hrl_escape.agents.spec import SEARCH_MEMORY
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ComparisonError
 from studies.buttons.analysis import find_first_escape
-from studies.figures import Theme, make_figure, write_label
+from studies.figures import Theme, make_figure, mark_counts, write_label
 from studies.parts.analysis import make_config
 from studies.parts.answers import PartsRun
 from studies.running import StudyArgs, make_missing
@@ -197,5 +197,6 @@ def draw(ratios: Mapping[str, Mapping[str, Mapping[int, Ratio]]], theme: Theme) 
             axes.errorbar(list(own), middle, (middle - low, high - middle), color=colour, marker="o", capsize=3)
             write_label(axes, list(own)[-1], middle[-1], f" {rule}", colour)
         axes.set(xlabel="buttons", ylabel="primitives of search / of the learner", yscale="log")
+        mark_counts(axes.yaxis)
 
     return make_figure(theme, paint)

@@ -19,7 +19,7 @@ import torch
 from rich.console import Console
 
 from hrl_escape.errors import ComparisonError, UnknownNameError
-from studies.learned_options.answers import compare_to_flat, find_crossover, gather_cells
+from studies.learned_options.answers import compare_times, compare_to_flat, find_crossover, gather_cells
 from studies.learned_options.report import (
     draw_curves,
     draw_escapes,
@@ -27,6 +27,7 @@ from studies.learned_options.report import (
     tabulate_gains,
     tabulate_missing,
     tabulate_rates,
+    tabulate_reuse,
     tabulate_trials,
 )
 from studies.learned_options.runs import (
@@ -182,7 +183,11 @@ def analyse(study: Study, lines: Sequence[ScaleRun]) -> Findings:
         "learned_options_first": tabulate_cells(first.sizes, learners, least),
         "learned_options_second": tabulate_cells(second.sizes, learners, least),
         "learned_options_unseen": tabulate_cells(first.unseen, learners, least),
+        "learned_options_reuse": tabulate_reuse(first.reuse),
+        "learned_options_reset": tabulate_cells(first.reset, learners, least),
+        "learned_options_fresh": tabulate_cells(first.fresh, learners, least),
         "learned_options_gains": tabulate_gains(first.gains, learners),
+        "learned_options_fresh_gains": tabulate_gains(first.fresh_gains, learners),
         "learned_options_second_gains": tabulate_gains(second.gains, learners),
         "learned_options_missing": tabulate_missing(data, counted, known),
         "learned_options_rates": tabulate_rates(learners, lines, data["left_out"]),
@@ -200,9 +205,10 @@ def answer(data: Mapping[str, Any], lines: Sequence[ScaleRun], budget: int) -> S
         budget: of the stage.
 
     Returns:
-        `sizes`, `fresh` and `unseen`: cells by number of buttons, in the first rooms, in fresh ones, and of the part
-        about unseen rooms. `gains` and `fresh_gains`: comparisons with the best flat learner. `crossover`: number of
-        buttons, or None.
+        `sizes`, `fresh`, `reset` and `unseen`: cells by number of buttons, in the first rooms, in fresh ones, with
+        wrong presses that reset the buttons, and of the part about unseen rooms. `gains` and `fresh_gains`:
+        comparisons with the best flat learner. `reuse`: number of buttons -> times of reused options over those of
+        options learned anew, with enough rooms. `crossover`: number of buttons, or None.
     """
     learners = list_learners(data)
     budgets = {label: min(budget, learner.most or budget) for label, learner in learners.items()}
@@ -218,6 +224,12 @@ def answer(data: Mapping[str, Any], lines: Sequence[ScaleRun], budget: int) -> S
                         **{label: runs for label, runs in sizes["first"][buttons].items() if label in planned}}
               for buttons in counts[UNSEEN]}
     gains = {name: compare_to_flat(cells, flat, own, data["least"]) for name, cells in sizes.items()}
+    reset = {buttons: gather_cells(lines, ONE_ROOM, buttons, rooms["first"], budgets, "reset")
+             for buttons in counts[ONE_ROOM]}
+    reused = next(label for label, learner in learners.items() if learner.acts == "reused")
+    pairs = {buttons: [(run, cells[data["reuse"]["agent"]][room]) for room, run in cells.get(reused, {}).items()
+                       if room in cells.get(data["reuse"]["agent"], {})] for buttons, cells in unseen.items()}
+    reuse = {buttons: compare_times(own) for buttons, own in pairs.items() if len(own) >= data["least"]}
     return SimpleNamespace(budget=budget, sizes=sizes["first"], fresh=sizes["confirmation"], unseen=unseen,
-                           gains=gains["first"], fresh_gains=gains["confirmation"],
+                           reset=reset, gains=gains["first"], fresh_gains=gains["confirmation"], reuse=reuse,
                            crossover=find_crossover(gains["first"]))

@@ -15,7 +15,7 @@ from studies.crossover.analysis import Ratio, estimate_ratio
 from studies.learned_options.runs import ScaleRun
 from studies.statistics import Difference, compare_signs
 
-__all__ = ["Cells", "Gain", "Verdict", "choose_flat", "compare_to_flat", "find_crossover",
+__all__ = ["Cells", "Gain", "Times", "Verdict", "choose_flat", "compare_times", "compare_to_flat", "find_crossover",
            "find_half", "gather_cells", "simulate_gain", "simulate_ratio"]
 
 HALF = 0.5
@@ -26,6 +26,18 @@ Cells: TypeAlias = Mapping[str, Mapping[int, ScaleRun]]
 Verdict: TypeAlias = Literal["open", "pays", "costs"]
 
 
+class Times(NamedTuple):
+    """Ratios of primitives of two learners in the same rooms.
+
+    Attributes:
+        first: to the first escape.
+        credit: from the first escape until the room is learned.
+    """
+
+    first: Ratio
+    credit: Ratio
+
+
 class Gain(NamedTuple):
     """An agent that learns its options against the best flat learner of a size.
 
@@ -33,15 +45,13 @@ class Gain(NamedTuple):
         flat: label of the best flat learner.
         rooms: pairs.
         late: difference in efficiency in the last fifth of the budget; p is corrected over learners and sizes (Holm).
-        first: primitives to the first escape, agent with learned options over flat agent.
-        credit: the same from the first escape until the room is learned.
+        times: agent with learned options over flat agent.
     """
 
     flat: str
     rooms: int
     late: Difference
-    first: Ratio
-    credit: Ratio
+    times: Times
 
     @property
     def verdict(self) -> Verdict:
@@ -105,12 +115,15 @@ def compare_to_flat(sizes: Mapping[int, Cells], flat: Sequence[str], options: Se
                 pairs[buttons, label] = best, [(cells[label][room], cells[best][room]) for room in rooms]
     late = compare_signs({f"{buttons}, {label}": np.array([one.late - other.late for one, other in own])
                           for (buttons, label), (_, own) in pairs.items()})
-    return {(buttons, label): Gain(
-        best, len(own), late[f"{buttons}, {label}"],
-        estimate_ratio([one.first_escape for one, _ in own], [other.first_escape for _, other in own],
-                       own[0][0].budget),
-        estimate_ratio([_wait(one) for one, _ in own], [_wait(other) for _, other in own], own[0][0].budget))
-        for (buttons, label), (best, own) in pairs.items()}
+    return {(buttons, label): Gain(best, len(own), late[f"{buttons}, {label}"], compare_times(own))
+            for (buttons, label), (best, own) in pairs.items()}
+
+
+def compare_times(pairs: Sequence[tuple[ScaleRun, ScaleRun]]) -> Times:
+    """Compare the primitives of runs in the same rooms; runs that do not get there are censored at the budget."""
+    budget = pairs[0][0].budget
+    return Times(*(estimate_ratio([measure(one) for one, _ in pairs], [measure(other) for _, other in pairs], budget)
+                   for measure in (lambda run: run.first_escape, _wait)))
 
 
 def _wait(run: ScaleRun) -> float | None:

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from hrl_escape.names import count_nouns
 from studies.crossover.analysis import Ratio
 from studies.figures import Theme, make_figure, mark_counts, write_key
-from studies.learned_options.answers import Cells, Gain
+from studies.learned_options.answers import Cells, Gain, Times
 from studies.learned_options.runs import TRIAL, Learner, ScaleRun
 from studies.statistics import compute_median_interval
 from studies.tables import format_interval, format_short, make_table
 
 __all__ = ["SHOWN", "draw_curves", "draw_escapes", "tabulate_cells", "tabulate_gains", "tabulate_missing",
-           "tabulate_rates", "tabulate_trials"]
+           "tabulate_rates", "tabulate_reuse", "tabulate_trials"]
 
 SHOWN = ("ppo", "dqn, novelty", "dac", "ppoc", "a2oc")
 """Agents shown in the figures: PPO, the best flat agent of the first comparisons, and all that learn options."""
@@ -50,8 +50,14 @@ def tabulate_gains(gains: Mapping[tuple[int, str], Gain], learners: Mapping[str,
     return make_table(["buttons", "learner", "best flat", "rooms", "late efficiency", "p, Holm", "first escape, ratio",
                        "credit, ratio", "answer"], [
         [buttons, learners[label].title, learners[gain.flat].title, gain.rooms, format_interval(gain.late, "+.2f"),
-         f"{gain.late.p:.3f}", _describe(gain.first), _describe(gain.credit), gain.verdict]
+         f"{gain.late.p:.3f}", *map(_describe, gain.times), gain.verdict]
         for (buttons, label), gain in gains.items()])
+
+
+def tabulate_reuse(reuse: Mapping[int, Times]) -> str:
+    """Times with options of training rooms, over those with options that are learned anew."""
+    return make_table(["buttons", "rooms", "first escape, ratio", "credit, ratio"], [
+        [buttons, times.first.rooms, *map(_describe, times)] for buttons, times in reuse.items()])
 
 
 def _describe(ratio: Ratio) -> str:
@@ -136,6 +142,7 @@ def draw_escapes(sizes: Mapping[int, Cells], learners: Mapping[str, Learner], le
             axes.plot(list(medians), list(medians.values()), "o-", color=colour, linewidth=1.6)
         write_key(axes, [(learners[label].title, colour) for label, colour in zip(SHOWN, theme.lines, strict=True)])
         axes.set(xlabel="buttons", ylabel="primitives to the first escape", yscale="log", xticks=list(sizes),
-                 ylim=(100, None))
+                 ylim=(1_000, 100_000))
+        mark_counts(axes.yaxis)
 
     return make_figure(theme, paint, height=4.4)

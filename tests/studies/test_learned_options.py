@@ -6,6 +6,7 @@ import dataclasses
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -87,18 +88,32 @@ def test_a_learner_of_options_pays_only_with_ten_rooms_and_a_gain():
 
 
 def test_claims_break_when_runs_disagree_or_those_that_they_call_missing_are_made():
-    page = load_page("learned-options-at-scale")
-    few = make_lines({**dict.fromkeys(FLAT, 0.3), "dqn, novelty": 0.7, "dac": 0.7, "ppoc": 0.2, "a2oc": 0.2})
-    text, figures = render_page(page, {"learned-options": analyse(STUDY, few)})
-    assert "80 of 1,310 registered runs" in text and figures == ["learned-options", "learned-options-escapes"]
-    fresh = [dataclasses.replace(line, seed=line.seed + 1_000) for line in few if line.part == "one room"]
-    more = {"no-gain": make_lines({"dac": 0.9}), "credit": make_lines({"ppoc": 0.6}), "wait": fresh,
-            "no-second-stage": [dataclasses.replace(few[-1], budget=10_000_000)],
-            "ppo-two-buttons": [dataclasses.replace(few[-1], agent="ppo", seed=5_000, first_escape=None)],
-            "no-transfer": [dataclasses.replace(few[-1], agent="ppo, reused options", part="unseen rooms")]}
-    for rule, lines in more.items():
+    page, lines = load_page("learned-options-at-scale"), open_store(STUDY, None).load()
+    good = {"episodes": (10,) * 20, "escapes": (10,) * 20, "efficiency": (9.0,) * 20, "first_escape": 1_000}
+    never = {"episodes": (10,) * 20, "escapes": (0,) * 20, "efficiency": (0.0,) * 20, "first_escape": None}
+
+    def change(new: dict[str, Any], agent: str, *buttons: int, part: str = "one room", first: int = 5_000
+               ) -> list[ScaleRun]:
+        """All lines, with other outcomes of an agent in some rooms."""
+        return [dataclasses.replace(line, **new) if (line.agent, line.part) == (agent, part)
+                and line.buttons in buttons and first <= line.seed < first + 10 else line for line in lines]
+
+    text, figures = render_page(page, {"learned-options": analyse(STUDY, lines)})
+    assert " of 1,310 registered runs" in text and figures == ["learned-options", "learned-options-escapes"]
+    last = next(line for line in lines if line.agent == "ppo" and line.part == "one room")
+    wrong = {
+        "no-gain": change(good, "dac", 1), "wait": change(good, "a2oc", 4), "credit": change(good, "ppoc", 1),
+        "no-crossover": change(good, "dac", 1, 2, 3), "exploration": change(good, "a2oc", 1),
+        "untrained": change(never, "untrained, repeats", 2),
+        "reuse": change(good, "ppo, reused options", 2, part="unseen rooms"),
+        "confirmation": change(good, "ppoc", 2, first=6_000), "confirmed": change(good, "dac", 3, first=6_000),
+        "reset": [dataclasses.replace(line, **good) if line.rule == "reset" else line for line in lines],
+        "no-second-stage": [*lines, dataclasses.replace(last, budget=10_000_000)],
+        "ppo-two-buttons": change(never, "ppo", 2)}
+    assert set(wrong) | {"easy-trial"} == set(page.rules)
+    for rule, changed in wrong.items():
         with pytest.raises(UnsupportedClaimError, match=rule):
-            render_page(page, {"learned-options": analyse(STUDY, [*few, *lines])})
+            render_page(page, {"learned-options": analyse(STUDY, changed)})
 
 
 def test_a_room_is_learned_with_the_first_of_two_good_parts():
