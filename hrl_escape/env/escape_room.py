@@ -266,11 +266,11 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         return self._finish(*room.step(read_action(action, self._count)))
 
     def _require_episode(self) -> tuple[RoomState, Engine]:
-        room = self._get_room()
-        if self._state is None or self._ended:
+        room, state = self.room or self._get_room(), self._state
+        if state is None or self._ended:
             raise ResetNeededError("call reset() first: " + ("the episode has ended" if self._ended
                                                             else "no episode has begun"))
-        return self._state, room
+        return state, room
 
     def _finish(self, state: RoomState, reward: float, terminated: bool, truncated: bool, events: Events
                 ) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:

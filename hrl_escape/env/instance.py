@@ -322,7 +322,7 @@ class RoomInstance(Pictured, HashedSettings):
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
 
-    @property
+    @cached_property
     def id(self) -> str:
         """First 16 digits of the content hash."""
         return self.digest[:16]

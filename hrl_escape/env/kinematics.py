@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from enum import Enum
 from functools import partial
 from typing import Any, NamedTuple
@@ -108,7 +108,8 @@ class InnerDoors:
         reach = self._radius + 1.5 * instance.robot.actions.longest * (2.0 if instance.dynamics.noise else 1.0)
         self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
         self._shut_near = Memo(partial(_list_shut, self._near))
-        self._at = NearCells(enumerate(self.footprints), ((door, 0.0) for door in self.footprints), 0.25)
+        at = NearCells(enumerate(self.footprints), ((door, 0.0) for door in self.footprints), 0.25)
+        self._at = Memo(partial(_find_at, at))
         self._pushes = isinstance(instance.puzzle, Pushing)
 
     def get_shut(self, puzzle: Hashable) -> int:
@@ -134,27 +135,33 @@ class InnerDoors:
 
     def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
         """Return the puzzle state after a move from a place has pushed the thing in its way, if that is possible."""
-        ahead = self.find_at(x + dx, y + dy) if self._pushes else -1
+        ahead = self._at[x + dx, y + dy] if self._pushes else -1
         if ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
             return puzzle
-        beyond = self.find_at(x + 2.0 * dx, y + 2.0 * dy)
+        beyond = self._at[x + 2.0 * dx, y + 2.0 * dy]
         return self._puzzle.update(puzzle, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
 
     def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
         """Return the index of the door one stride ahead of the body's axis; -1 if there is none."""
-        return self.find_at(x + self._stride * cos, y + self._stride * sin)
+        return self._at[x + self._stride * cos, y + self._stride * sin]
 
     def find_at(self, x: float, y: float) -> int:
         """Return the index of the door at a place; -1 if there is none."""
-        for number, door in self._at[math.floor(4.0 * x), math.floor(4.0 * y)]:
-            if compute_distance(x, y, door) == 0.0:
-                return number
-        return -1
+        return self._at[x, y]
 
 
 def _list_shut(doors: NearCells[tuple[int, Footprint]], key: tuple[int, int, int]) -> tuple[Footprint, ...]:
     """Outlines of the doors near a cell of the floor whose bits are set: x and y of the cell, and the bits."""
     return tuple(door for number, door in doors[key[:2]] if key[2] >> number & 1)
+
+
+def _find_at(doors: NearCells[tuple[int, Footprint]], place: tuple[float, float]) -> int:
+    """Index of the door at a place; -1 if there is none."""
+    x, y = place
+    for number, door in doors[math.floor(4.0 * x), math.floor(4.0 * y)]:
+        if compute_distance(x, y, door) == 0.0:
+            return number
+    return -1
 
 
 def _compute_lit(puzzle: Puzzle, state: Hashable) -> int:
@@ -238,26 +245,24 @@ class Rules(RobotPoses):
         primitives. `grip` is 1 if the primitive grips, -1 if it releases, 2 if it uses. Under physics, props have
         poses.
         """
-        puzzle = moved.puzzle
-        begun = moved.touching & ~before.touching
+        x, y, steps, offset, joint_steps, joint_offsets, puzzle, touching, _, key, z, pitch, roll, physics = moved
+        begun = touching & ~before.touching
         more, failed = 0.0, False
         if begun or prop_poses or grip or self._is_watching or puzzle != before.puzzle:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
-            touching = list_touched(moved.touching) if moved.touching else ()
-            has_moved = moved.x != before.x or moved.y != before.y
             ahead = -1 if not grip or self.inner_doors is None else self.inner_doors.find_ahead(
-                moved.x, moved.y, *self.get_rotation(moved.heading_steps, moved.heading_offset))
-            contacts = Contacts(list_touched(begun) if begun else (), prop_poses, chance, touching, grip, has_moved,
-                                moved.x, moved.y, ahead)
+                x, y, *self.get_rotation(steps, offset))
+            contacts = Contacts(list_touched(begun) if begun else (), prop_poses, chance,
+                                list_touched(touching) if touching else (), grip, x != before.x or y != before.y,
+                                x, y, ahead)
             puzzle = self._puzzle.update(puzzle, contacts)
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
             failed = self._puzzle.is_failed(puzzle)
         count = before.primitives + 1
-        escaped = self._exit.contains(moved.x, moved.y) and self.is_solved(puzzle)
+        escaped = self._exit.contains(x, y) and self.is_solved(puzzle)
         terminated = escaped or failed
-        state = RoomState(moved.x, moved.y, moved.heading_steps, moved.heading_offset, moved.joint_steps,
-                          moved.joint_offsets, puzzle, moved.touching, count, moved.noise_key, moved.z, moved.pitch,
-                          moved.roll, moved.physics)
+        state = RoomState(x, y, steps, offset, joint_steps, joint_offsets, puzzle, touching, count, key, z, pitch, roll,
+                          physics)
         reward = (self._exit_reward if escaped else self._step_reward) + more
         events = QUIET
         if begun or terminated or puzzle != before.puzzle:
@@ -312,7 +317,8 @@ class Kinematics(Rules):
         self._near_solids = NearCells(self.footprints, ((shape, reach) for shape in self.footprints), 0.5)
         self._near_door = NearCells(doors, ((door, reach) for door in doors), 0.5)
         self._is_grid = self._stays and self._base.turns_anywhere
-        self._free: dict[tuple[float, float, float, float], float] = {}
+        self._free: dict[tuple[float, float, float, float, int], float] = {}
+        self._barred = Memo(partial(_find_barred, self.inner_doors, None if self._door is None else self._solved))
         self._primitives = self.actions.primitives
         self._moves = tuple(
             tuple(primitive.compute_move(cos, sin) for cos, sin in self.rotations) for primitive in self._primitives)
@@ -426,13 +432,21 @@ class Kinematics(Rules):
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
         """Return the fraction, in [0, 1], of a displacement that keeps the body's clearance at this rotation."""
-        is_step, middle = abs(dx) + abs(dy) <= 1.5 * self._span, (math.floor(2.0 * x + dx), math.floor(2.0 * y + dy))
-        fraction = self._free.get((x, y, dx, dy))
+        if not self._is_grid:  # places rarely repeat
+            return self._find_free_fraction(x, y, dx, dy, puzzle, rotation)
+        motion = x, y, dx, dy, self._barred[puzzle]
+        fraction = self._free.get(motion)
         if fraction is None:
-            near = self._near_solids[middle] if is_step else self.footprints
-            fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
-            if self._is_grid and len(self._free) < 4096:  # elsewhere places rarely repeat
-                self._free[x, y, dx, dy] = fraction
+            if len(self._free) > 4096:
+                self._free.clear()
+            fraction = self._free[motion] = self._find_free_fraction(x, y, dx, dy, puzzle, rotation)
+        return fraction
+
+    def _find_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
+                            rotation: tuple[float, float]) -> float:
+        is_step, middle = abs(dx) + abs(dy) <= 1.5 * self._span, (math.floor(2.0 * x + dx), math.floor(2.0 * y + dy))
+        near = self._near_solids[middle] if is_step else self.footprints
+        fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
         if self.inner_doors is None and (self._door is None or (is_step and not self._near_door[middle])):
             return fraction
         shut = self._list_shut(x, y, puzzle, rotation, is_step)
@@ -493,6 +507,12 @@ class Kinematics(Rules):
         return RoomState(state.x, state.y, state.heading_steps, state.heading_offset, tuple(steps), offsets,
                          state.puzzle, touching, state.primitives, state.noise_key, state.z, state.pitch, state.roll,
                          state.physics)
+
+
+def _find_barred(inner_doors: InnerDoors | None, solved: Mapping[Hashable, bool] | None, puzzle: Hashable) -> int:
+    """Bits of the shut doors in a state of the puzzle: the exit door, which `solved` opens, then the inner doors."""
+    shut = 0 if inner_doors is None else inner_doors.get_shut(puzzle)
+    return shut << 1 | (solved is not None and not solved[puzzle])
 
 
 # --- untrusted states ----------------------------------------------------------------------

@@ -155,8 +155,8 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         """Take, put down, open or shut the thing or door in the cell ahead."""
         if contacts.ahead < 0 or not contacts.grip:
             return state
-        grid, held = self.grid, self.get_held(state)
-        cell = grid.blockable[contacts.ahead]
+        grid, places = self.grid, self._list_places(state)
+        held, cell = places.index(HELD) if HELD in places else None, grid.blockable[contacts.ahead]
         if cell in grid.doors:
             door = grid.doors.index(cell)
             has_key = held is not None and held < grid.keys
@@ -164,7 +164,6 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
             if contacts.grip != USE or not (has_key or was_opened or not grid.is_locked(door)):
                 return state
             return (state | 2 << 2 * door) ^ 1 << 2 * door
-        places = self._list_places(state)
         if contacts.grip == 1 and held is None and cell in places:
             return self._move(state, places.index(cell), HELD)
         if contacts.grip == -1 and held is not None and cell not in places and cell != grid.goal:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cached_property
 from typing import Annotated, Literal
 
 from hrl_escape.env.schema import HashedSettings
@@ -82,10 +83,16 @@ class Capsule(HashedSettings):
     radius: Annotated[float, Range(0.01, 100, "m")] = 1.0
     """Radius of the region around the segment."""
 
+    @cached_property
+    def _segment(self) -> tuple[float, float, float, float, float]:
+        """The first end of the segment, the way to the other, and its squared length."""
+        along_x, along_y = self.x2 - self.x1, self.y2 - self.y1
+        return self.x1, self.y1, along_x, along_y, along_x * along_x + along_y * along_y
+
     def compute_depth(self, x: float, y: float) -> float:
         """Return the depth of a point inside the region, m: its distance from the edge, or 0 outside."""
-        along_x, along_y, to_x, to_y = self.x2 - self.x1, self.y2 - self.y1, x - self.x1, y - self.y1
-        length = along_x * along_x + along_y * along_y
+        x1, y1, along_x, along_y, length = self._segment
+        to_x, to_y = x - x1, y - y1
         share = (to_x * along_x + to_y * along_y) / length if length else 0.0
         share = 0.0 if share < 0.0 else 1.0 if share > 1.0 else share  # a third of the time of min and max
         off_x, off_y = to_x - share * along_x, to_y - share * along_y

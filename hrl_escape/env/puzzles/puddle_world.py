@@ -63,8 +63,12 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
         """Return the negative cost of the deepest puddle at the place where the primitive ended."""
-        x, y = contacts.x, contacts.y
-        return -self.cost * max([0.0, *[area.compute_depth(x, y) for area in self.areas]])
+        deepest = 0.0
+        for area in self.areas:
+            depth = area.compute_depth(contacts.x, contacts.y)
+            if depth > deepest:
+                deepest = depth
+        return -self.cost * deepest
 
     def is_solved(self, state: int) -> bool:
         """Return whether the body has entered the goal."""
