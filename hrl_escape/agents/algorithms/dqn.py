@@ -120,6 +120,8 @@ class DQNSettings(AgentSettings):
     max_updates: Annotated[int, Range(1)] = 16
     """Most updates after a step of many environments. Where more are due, minibatches grow instead. Few large ones
     learn less, because the target network follows updates."""
+    max_batch_size: Annotated[int, Range(1)] = 65_536
+    """Largest minibatch with many environments. Smaller ones learn from each decision less often and take less time."""
     replay_per_env: Annotated[int, Range(1)] = 128
     """Smallest replay capacity per environment with many environments, in decisions."""
     hindsight_goals: Annotated[int, Range(0)] = 0

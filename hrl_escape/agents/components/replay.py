@@ -6,7 +6,8 @@ are drawn. The ring holds NumPy arrays of one environment, or tensors of many on
 several times faster than TorchRL's ReplayBuffer over LazyTensorStorage (`python -m benchmarks.agents`).
 
 `ReplayAgent` is the base of agents that learn by updates from replay. Where many updates are due after a step of
-many environments, minibatches grow instead, so that every decision is learned from as often as in one environment.
+many environments, minibatches grow instead, so that every decision is learned from as often as in one environment, up
+to `max_batch_size`.
 """
 
 from __future__ import annotations

@@ -6,9 +6,10 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
+from hrl_escape.agents.algorithms.dqn import DQNSettings
 from hrl_escape.agents.components.arrays import Arrays
 from hrl_escape.agents.components.exploration import ExplorationSettings, compute_exploration
-from hrl_escape.agents.components.replay import Experience, Replay
+from hrl_escape.agents.components.replay import Experience, Replay, list_batch_sizes
 from tests.agents.small_envs import Outcome, SmdpEnv, solve
 
 ACTIONS = 3
@@ -167,6 +168,14 @@ def test_as_many_updates_as_in_one_environment_follow_a_step_of_many_up_to_a_lim
         counts.append(agent.values.learner.updates)
     assert counts[2] == pytest.approx(0.25 * (1_000 - 100), abs=10), "a quarter of the primitives after the warm-up"
     assert counts[1] == pytest.approx(4 * counts[0], rel=0.05) and counts[1] < 0.95 * counts[2]
+
+
+def test_minibatches_of_many_environments_grow_up_to_a_limit():
+    settings = DQNSettings(batch_size=64, max_updates=16, max_batch_size=2_048)
+    assert list_batch_sizes(settings, 3, is_many=True) == [64] * 3
+    assert list_batch_sizes(settings, 512, is_many=True) == [2_048] * 16
+    assert list_batch_sizes(settings, 1_024, is_many=True) == [2_048] * 16
+    assert list_batch_sizes(settings, 1_024, is_many=False) == [64] * 1_024
 
 
 @pytest.mark.nightly
