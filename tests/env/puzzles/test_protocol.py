@@ -172,5 +172,5 @@ def test_reference_states_spread_over_the_puzzles_first_states():
 def test_a_strangers_puzzle_is_learned():
     env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", instance=make_room(1.0, reward=RewardConfig(exit=50)),
                                     observation="features"), include_primitives=False)
-    result = train("q-learning", env, primitives=1_500, seed=0, eval_every=1_500, eval_episodes=8)
+    result = train("smdp-q-learning", env, primitives=1_500, seed=0, eval_every=1_500, eval_episodes=8)
     assert result.evaluations[-1].success_rate == 1.0
