@@ -74,7 +74,8 @@ LEARNERS = ("hiro", "hiro-uncorrected", "hrac", "hac", "hac-untested", "td3", "t
 CURVES = ("hiro", "hrac", "hac", "td3-hindsight", "td3", "sac-hindsight")
 """Learners in the figure."""
 PAIRS = (("hiro", "hiro-uncorrected"), ("hrac", "hiro"), ("hac", "hac-untested"), ("hac", "hiro"),
-         ("hiro", "td3-hindsight"), ("hac", "td3-hindsight"), ("td3-hindsight", "td3"), ("sac-hindsight", "sac"))
+         ("hiro", "td3-hindsight"), ("hiro", "sac-hindsight"), ("hac", "td3-hindsight"), ("td3-hindsight", "td3"),
+         ("sac-hindsight", "sac"))
 """Learners that are compared seed by seed."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -65,12 +66,20 @@ def is_first_escape_no_earlier(numbers: Any) -> bool:
 def does_untrained_escape_first(numbers: Any) -> bool:
     """The untrained policy with repeats has an earlier median first escape than agents that learn options."""
     sizes = numbers.learned_options.first.sizes
-
-    def find_median(buttons: int, label: str) -> float:
-        return float(np.median([run.first_escape or np.inf for run in sizes[buttons][label].values()]))
-
-    return all(find_median(buttons, "untrained, repeats") < find_median(buttons, label)
+    return all(find_median(sizes[buttons]["untrained, repeats"]) < find_median(sizes[buttons][label])
                for buttons in SIZES for label in OWN)
+
+
+def do_planned_options_escape_first(numbers: Any) -> bool:
+    """With one to four buttons, planned options have less than a twentieth of every other median first escape."""
+    sizes = numbers.learned_options.first.sizes
+    return all(20 * find_median(sizes[buttons]["ppo, planned options"]) < find_median(runs)
+               for buttons in (*SIZES, 4) for label, runs in sizes[buttons].items() if label not in SHORT)
+
+
+def find_median(runs: Mapping[int, Any]) -> float:
+    """Median primitives to the first escape of the runs of a cell."""
+    return float(np.median([run.first_escape or np.inf for run in runs.values()]))
 
 
 def is_second_missing(numbers: Any) -> bool:
@@ -113,6 +122,7 @@ RULES: Rules = {
     "no-crossover": lambda numbers: numbers.learned_options.first.crossover is None,
     "exploration": is_first_escape_no_earlier,
     "untrained": does_untrained_escape_first,
+    "planned": do_planned_options_escape_first,
     "reset": is_reset_alike,
     "reuse": is_reuse_slower,
     "no-second-stage": is_second_missing,

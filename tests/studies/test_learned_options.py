@@ -105,6 +105,7 @@ def test_claims_break_when_runs_disagree_or_those_that_they_call_missing_are_mad
         "no-gain": change(good, "dac", 1), "wait": change(good, "a2oc", 4), "credit": change(good, "ppoc", 1),
         "no-crossover": change(good, "dac", 1, 2, 3), "exploration": change(good, "a2oc", 1),
         "untrained": change(never, "untrained, repeats", 2),
+        "planned": change(never, "ppo, planned options", 4),
         "reuse": change(good, "ppo, reused options", 2, part="unseen rooms"),
         "confirmation": change(good, "ppoc", 2, first=6_000), "confirmed": change(good, "dac", 3, first=6_000),
         "reset": [dataclasses.replace(line, **good) if line.rule == "reset" else line for line in lines],

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 import warnings
 import weakref
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any, TypeGuard
 
@@ -38,8 +38,8 @@ from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import AgentSettingsError, DivergenceError, UnsupportedSpaceError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
-BLOCK_ROWS = 2048
-"""Rows that pass through a perceptron together: two layers of 64 units take 1 MiB, half of a core's cache."""
+BLOCK_ROWS = 4096
+"""Rows that pass through a perceptron together: two layers of 64 units take 2 MiB, the size of a core's cache."""
 MOST_KNOWN = 1_000
 """Most cached outputs of a network."""
 WILD_LOSS = 1e6
@@ -326,12 +326,14 @@ class Network(nn.Sequential):
 class _Blocks(torch.autograd.Function):
     """A perceptron over many rows, `BLOCK_ROWS` at a time through all layers, which keeps them in cache.
 
-    Layer by layer, all rows would go through main memory, which takes two to three times as long on a CPU.
+    Layer by layer, all rows would go through main memory, which takes two to three times as long on a CPU. Units of
+    tanh are computed as sigmoids, s = sigmoid(2 z) with tanh(z) = 2 s - 1, which take less than a third of the time.
     """
 
     @staticmethod
     def forward(ctx: Any, rows: torch.Tensor, is_tanh: bool, is_kept: bool, *parameters: torch.Tensor) -> torch.Tensor:
-        weights, biases = parameters[::2], parameters[1::2]
+        own, biases = parameters[::2], parameters[1::2]
+        weights, biases = _substitute_sigmoids(own, biases) if is_tanh else (own, biases)
         hidden = [rows.new_empty(len(rows) if is_kept else BLOCK_ROWS, len(bias)) for bias in biases[:-1]]
         output = rows.new_empty(len(rows), len(biases[-1]))
         for start in range(0, len(rows), BLOCK_ROWS):
@@ -340,11 +342,11 @@ class _Blocks(torch.autograd.Function):
             for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
                 if layer < len(hidden):
                     before = torch.addmm(bias, before, weight.t(), out=hidden[layer][place])
-                    before.tanh_() if is_tanh else before.relu_()
+                    before.sigmoid_() if is_tanh else before.relu_()
                 else:
                     torch.addmm(bias, before, weight.t(), out=output[start : start + BLOCK_ROWS])
         if is_kept:
-            ctx.save_for_backward(rows, *hidden, *weights)
+            ctx.save_for_backward(rows, *hidden, *own)
             ctx.is_tanh = is_tanh
         return output
 
@@ -355,6 +357,8 @@ class _Blocks(torch.autograd.Function):
         of_weights = [_make_long_rows(weight) for weight in weights]
         of_biases = [weight.new_zeros(len(weight)) for weight in weights]
         of_rows = torch.empty_like(inputs[0]) if ctx.needs_input_grad[0] else None
+        if ctx.is_tanh:
+            weights = [weights[0], *(4 * weight for weight in weights[1:])]  # 1 - tanh(z)^2 = 4 s (1 - s)
         for start in range(0, len(inputs[0]), BLOCK_ROWS):
             part = slice(start, start + BLOCK_ROWS)
             error = gradients[0][part]
@@ -366,11 +370,14 @@ class _Blocks(torch.autograd.Function):
                     break
                 error = error @ weights[layer]
                 if ctx.is_tanh:
-                    torch.ops.aten.tanh_backward.grad_input(error, before, grad_input=error)
+                    torch.ops.aten.sigmoid_backward.grad_input(error, before, grad_input=error)
                 else:
                     torch.ops.aten.threshold_backward.grad_input(error, before, 0, grad_input=error)
             if of_rows is not None:
                 torch.mm(error, weights[0], out=of_rows[part])
+        if ctx.is_tanh:
+            for of_weight, of_bias in zip(of_weights[1:], of_biases[1:], strict=True):
+                of_weight.mul_(2).sub_(of_bias[:, None])  # of weights of tanh(z) = 2 s - 1
         pairs = (part for pair in zip(of_weights, of_biases, strict=True) for part in pair)
         return of_rows, None, None, *pairs
 
@@ -379,6 +386,15 @@ def _make_long_rows(weight: torch.Tensor) -> torch.Tensor:
     """Zeros of a weight's shape, with the longer side contiguous: products with short rows take five times as long."""
     outputs, inputs = weight.shape
     return weight.new_zeros(inputs, outputs).t() if inputs < outputs else torch.zeros_like(weight)
+
+
+def _substitute_sigmoids(weights: Sequence[torch.Tensor], biases: Sequence[torch.Tensor]
+                         ) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+    """Weights and biases of the same perceptron with units sigmoid(2 z) in place of tanh(z)."""
+    made = [(weight, bias) if layer == 0 else (2 * weight, bias - weight.sum(1))
+            for layer, (weight, bias) in enumerate(zip(weights, biases, strict=True))]
+    made[:-1] = [(2 * weight, 2 * bias) for weight, bias in made[:-1]]
+    return [weight for weight, _ in made], [bias for _, bias in made]
 
 
 def make_generator(rng: np.random.Generator) -> torch.Generator:
