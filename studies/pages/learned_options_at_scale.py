@@ -31,7 +31,7 @@ def is_novelty_first(numbers: Any) -> bool:
     """DQN with novelty is the best flat agent with one and two buttons; beyond, no mean over moves reaches 0.2."""
     study = numbers.learned_options
     known = {"ppo, planned options", "archive"}
-    late = [np.mean([run.late for run in runs.values()]) for buttons in (3, 4)
+    late = [float(np.mean([run.late for run in runs.values()])) for buttons in (3, 4)
             for label, runs in study.first.sizes[buttons].items() if label not in known]
     return (all(study.first.gains[buttons, label].flat == NOVEL for buttons in (1, 2) for label in OWN)
             and len(late) >= 15 and max(late) < 0.2)
