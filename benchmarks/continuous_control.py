@@ -30,7 +30,7 @@ import torch
 from hrl_escape.agents import train
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.benchmark.inference import ALPHA, compare_pairs
-from studies.statistics import compute_sign_flip_p
+from studies.statistics import compare_signs
 
 TASKS = {"Pendulum-v1": 20_000, "LunarLanderContinuous-v3": 100_000, "BipedalWalker-v3": 300_000}
 """Task -> primitives of a run."""
@@ -147,7 +147,7 @@ def compare(rows: list[dict[str, Any]]) -> str:
             if len(seeds) < 2:
                 continue
             gaps = np.array([cell[name][seed] - cell[f"sb3-{name}"][seed] for seed in seeds])
-            p = min(1.0, *(2 * compute_sign_flip_p(gaps, side) for side in ("above", "below")))
+            p = compare_signs({name: gaps})[name].p
             test, side = compare_pairs([gaps]), "higher" if gaps.mean() > 0 else "lower"
             verdict = "none: few runs" if len(seeds) < LEAST else f"ours {side}" if p < ALPHA else "no difference found"
             lines.append(f"| {task} | {primitives:,} | {name} | {len(seeds)} | {test.difference:+.0f} | "

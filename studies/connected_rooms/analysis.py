@@ -114,7 +114,7 @@ def run_job(job: ConnectedRun, data: Mapping[str, Any], cache: Path) -> Connecte
         return played.escaped, played.lengths
 
     found = measure_efficiencies(spec, tested, "objects", cache, play)
-    return dataclasses.replace(job, primitives=primitives, seconds=round(time.process_time() - started, 1),
+    return dataclasses.replace(job, primitives=primitives, seconds=round(time.process_time() - started, 3),
                                efficiencies=found)
 
 
