@@ -58,7 +58,8 @@ EPISODES, FIGURE = 128, Path(__file__).parents[1] / "docs/images/point-mazes.svg
 SCALES = {"u": Scale(256, 49_152, 3), "medium": Scale(256, 98_304, 3), "large": Scale(1_024, 1_048_576, 8),
           "four-rooms": Scale(256, 98_304, 3)}
 """Maze -> size of its runs."""
-COMMON: dict[str, Any] = {"hidden": [64, 64], "batch_size": 256, "max_batch_size": 256, "max_updates": 4}
+COMMON: dict[str, Any] = {"hidden": [64, 64], "batch_size": 256, "max_batch_size": 256, "max_updates": 4,
+                          "scale_observations": True}
 SLOW, FAST = {"learning_rate": 3e-4, "target_rate": 0.005}, {"learning_rate": 1e-3, "target_rate": 0.05}
 GOALS = {"goal_range": [1.5, 1.5]}
 TRIALS: dict[str, tuple[dict[str, Any], ...]] = {

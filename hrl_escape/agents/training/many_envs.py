@@ -407,10 +407,12 @@ class ManyEnvsRun(Run):
             asking = streams.is_waiting.nonzero().squeeze(1)
             action = self._no_actions.clone()
             masks[asking] = streams.action_mask[asking]
-            action[asking] = agent.act(Moments(asking, streams.observation[asking], masks[asking]))
+            if len(asking):  # after episodes that end together, Gymnasium's environments reset together
+                action[asking] = agent.act(Moments(asking, streams.observation[asking], masks[asking]))
             ended = streams.step(action)
             decisions = gather_decisions(ended, masks, streams.gamma, self.agent.gamma)
-            means.note(agent.observe(decisions))
+            if len(decisions.env):
+                means.note(agent.observe(decisions))
             self.primitives += tally.add(decisions, ended.success[decisions.env])
             self.decisions += len(decisions.env)
             report(self.primitives, words)

@@ -71,6 +71,14 @@ def test_vector_environments_of_gymnasium_take_actions_of_a_box(name):
     assert result.primitives >= 60 and np.isfinite(result.evaluations[-1].mean_return)
 
 
+@pytest.mark.parametrize("name", ["hac", "hiro", "td3"])
+def test_all_episodes_may_end_together(name):
+    env = SyncVectorEnv([lambda: gymnasium.make("hrl_escape/PointMaze-v1", max_steps=5)] * 2)
+    result = train(name, env, primitives=80, settings=SMALL[name], eval_env=make(False), eval_episodes=1,
+                   progress=False)
+    assert result.primitives >= 80
+
+
 def test_agents_of_discrete_actions_refuse_a_box_and_the_other_way_round():
     with pytest.raises(UnsupportedSpaceError, match="dqn chooses among Discrete"):
         train("dqn", gymnasium.make("Pendulum-v1"), primitives=10)

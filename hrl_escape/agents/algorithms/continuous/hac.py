@@ -34,7 +34,7 @@ from hrl_escape.agents.components.networks import Learner, is_goal_space, make_g
 from hrl_escape.agents.components.replay import UpdateSchedule, list_batch_sizes
 from hrl_escape.agents.decisions import Decisions, Moments, Policy
 from hrl_escape.agents.state import Kept, Stateful
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 
 INITIAL_COST = 0.067
@@ -47,12 +47,14 @@ class HacSettings(AgentSettings):
 
     gamma: Annotated[float, Range(0, 1)] = 0.95
     """Discount of each level per choice. It need not look further ahead than `attempts`."""
-    levels: Annotated[int, Range(2, 5)] = 2
-    """Number of levels; all but the lowest set goals."""
+    levels: Annotated[int, Range(1, 5)] = 2
+    """Number of levels; all but the lowest set goals. 1 is a flat agent with goals in hindsight."""
     attempts: Annotated[int, Range(2)] = 10
     """H, choices of a level for each of its goals. Together the levels look H^levels decisions ahead."""
     goal_tolerance: Annotated[float, Range(0, open_low=True)] = 0.45
     """Largest distance from a goal that counts as reached, in the unit of goals."""
+    goal_tolerances: tuple[Annotated[float, Range(0, open_low=True)], ...] = ()
+    """Largest difference from a goal in each component, where units differ. Replaces `goal_tolerance`."""
     subgoal_tests: Annotated[float, Range(0, 1)] = 0.3
     """Share of goals that are tested. More rules out goals beyond reach sooner and explores less; 0 turns tests off."""
     hindsight_goals: Annotated[int, Range(0)] = 3
@@ -79,12 +81,21 @@ class HacSettings(AgentSettings):
     """Transitions in an update."""
     updates_per_step: Annotated[float, Range(0)] = 0.5
     """Updates of every level for each primitive."""
+    updates_per_episode: Annotated[float, Range(0)] = 0.0
+    """More updates of every level at the end of each episode. The authors make 40, and none between."""
     max_updates: Annotated[int, Range(1)] = 8
     """Most updates after a step of many environments. Where more are due, minibatches grow instead."""
     max_batch_size: Annotated[int, Range(1)] = 1_024
     """Largest minibatch with many environments."""
     replay_capacity: Annotated[int, Range(1)] = 500_000
     """Transitions of each level kept for replay."""
+
+
+def find_near(difference: Tensor, settings: HacSettings) -> Tensor:
+    """Return where differences of points and goals (..., size) are within the tolerance, bool (...)."""
+    if settings.goal_tolerances:
+        return (difference.abs() <= difference.new_tensor(settings.goal_tolerances)).all(-1)
+    return difference.norm(dim=-1) <= settings.goal_tolerance
 
 
 class HacLevel(Stateful):
@@ -159,7 +170,7 @@ class Calls(Stateful):
 
     def find_reached(self, env: Tensor, point: Tensor) -> Tensor:
         """Return which levels' goals points (n, size) reach, bool (levels, n)."""
-        return (self.goal[:, env] - point).norm(dim=2) <= self._settings.goal_tolerance
+        return find_near(self.goal[:, env] - point, self._settings)
 
     def finish(self, env: Tensor, reached: Tensor, cut: Tensor) -> list[Tensor]:
         """Count the choices that ended with a decision of some environments; mark the calls that are over.
@@ -207,6 +218,9 @@ class Hac(BatchAgent):
             raise UnsupportedSpaceError(f"{self.name} pursues the goal of the environment: it needs observations in a "
                                         f"Dict of observation, achieved_goal and desired_goal, not {observation_space}")
         self.goals = goals = GoalReader(observation_space, (), (), settings.scale_observations, self.name)
+        if settings.goal_tolerances and len(settings.goal_tolerances) != goals.size:
+            raise AgentSettingsError("goal_tolerances", settings.goal_tolerances, f"{goals.size} numbers, one for each "
+                                     "component of a goal")
         self._goal_box = BoxActions(gymnasium.spaces.Box(goals.low.numpy(), goals.high.numpy()), self.name)
         generator = make_generator(make_rng(seed, "weights"))
         self.levels = [HacLevel(f"{self.name} level {level}", goals, goals.size if level else self.box.size, settings,
@@ -340,7 +354,7 @@ class Hac(BatchAgent):
             over = calls.is_over[level, env[rows]]
             if bool(over.any()) and settings.hindsight_goals:
                 self._replay_call(level, env[rows][over], count[level, rows][over] + 1)
-        return self._update(int(batch.duration.sum()))
+        return self._update(int(batch.duration.sum()), int(cut.sum()))
 
     def _add(self, level: int, view: Tensor, choice: Tensor, next_view: Tensor, goal: Tensor, reached: Tensor) -> None:
         """Store transitions: reward 0 and no bootstrap where the goal is reached, else -1 and gamma."""
@@ -366,13 +380,13 @@ class Hac(BatchAgent):
             later = number + (self._arrays.draw_uniform(len(number)) * (length[call] - number)).long()
             later = torch.minimum(later, length[call] - 1)
             goal, point = steps["point"][call, later], steps["point"][call, number]
-            reached = (goal - point).norm(dim=1) <= self.settings.goal_tolerance
+            reached = find_near(goal - point, self.settings)
             self._add(level, steps["view"][call, number], steps["choice"][call, number],
                       steps["next_view"][call, number], goal, reached)
 
-    def _update(self, primitives: int) -> dict[str, float]:
+    def _update(self, primitives: int, episodes: int) -> dict[str, float]:
         settings, metrics = self.settings, {}
-        due = self._schedule.advance(primitives, len(self.replays[-1]))
+        due = self._schedule.advance(primitives, len(self.replays[-1]), settings.updates_per_episode * episodes)
         for size in list_batch_sizes(settings, due, self.place[1] is not None):
             for number, (level, replay) in enumerate(zip(self.levels, self.replays, strict=True)):
                 metrics |= {f"level_{number}_{name}": value for name, value in

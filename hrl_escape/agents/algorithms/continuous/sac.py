@@ -46,8 +46,8 @@ class SACSettings(AgentSettings):
     """Units of each hidden layer."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
     """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform; or orthogonal, with tanh units."""
-    scale_observations: bool = True
-    """Map components with finite bounds to [-1, 1]."""
+    scale_observations: bool = False
+    """Map components with finite bounds to [-1, 1]. It suits bounds that states come near."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 1.0
     """Factor on the rewards that networks learn. Smaller values suit larger returns."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4

@@ -5,9 +5,9 @@ import pytest
 import torch
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.continuous.hac import INITIAL_COST, Hac, HacSettings
+from hrl_escape.agents.algorithms.continuous.hac import INITIAL_COST, Hac, HacSettings, find_near
 from hrl_escape.agents.decisions import Decisions, Moments
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 
 POINT = spaces.Box(-2.0, 2.0, (2,), np.float32)
 SPACE = spaces.Dict({"observation": POINT, "achieved_goal": POINT, "desired_goal": POINT})
@@ -17,7 +17,7 @@ ENVS, ATTEMPTS, NEAR = 4, 3, 0.9
 
 def make(**settings):
     agent = Hac(SPACE, ACTIONS, 0, HacSettings(
-        attempts=ATTEMPTS, hidden=(8,), updates_per_step=0.0, goal_tolerance=NEAR, **settings))
+        **{"attempts": ATTEMPTS, "hidden": (8,), "updates_per_step": 0.0, "goal_tolerance": NEAR} | settings))
     agent.begin_episodes(ENVS, torch.device("cpu"))
     return agent
 
@@ -119,6 +119,51 @@ def test_values_are_between_minus_h_and_zero_and_nothing_explores_below_a_test()
         assert torch.allclose(action, best, atol=1e-5)
 
     run(agent, 20, note)
+
+
+def test_one_level_pursues_the_goal_of_the_environment():
+    agent = make(levels=1, hindsight_goals=0, warmup=0)
+    rows = []
+
+    def note(point, action, after, goals, tested, terminated, truncated):
+        assert goals.shape == (1, ENVS, 2) and not tested.any()
+        for env in range(ENVS):
+            hit = bool(terminated[env])  # `run` terminates within the same distance
+            parts = (point[env] / 2, goals[0, env] / 2, action[env], torch.tensor([hit - 1.0, 0.95 * (not hit)]),
+                     after[env] / 2, goals[0, env] / 2)
+            rows.append(tuple(np.round(torch.cat(parts).double().numpy(), 3) + 0.0))
+
+    run(agent, 30, note)
+    assert list_rows(agent.replays[0]) == sorted(rows)
+    assert len(agent.list_calls()) == 1
+
+
+def test_tolerances_of_components_make_a_box():
+    differences = torch.tensor([[0.09, 1.9], [0.11, 0.0], [-0.09, -2.1], [-0.1, 2.0]])
+    assert find_near(differences, HacSettings(goal_tolerances=(0.1, 2.0))).tolist() == [True, False, False, True]
+    assert find_near(differences, HacSettings(goal_tolerance=2.0)).tolist() == [True, True, False, False]
+    agent = make(goal_tolerances=(0.1, 2.0), hindsight_goals=1, subgoal_tests=0.0)
+    run(agent, 60, lambda *parts: None)
+    for replay in agent.replays:
+        rows = {name: each[:len(replay)] for name, each in replay.rows.items()}
+        there, goal = rows["next_seen"][:, :2] * 2, rows["seen"][:, 2:] * 2
+        hit = ((goal - there).abs() <= torch.tensor([0.1, 2.0])).all(1)
+        is_free = ~(((goal - there).norm(dim=1) <= NEAR) | hit)  # `run` terminates within NEAR
+        assert (rows["reward"][hit] == 0).all() and (rows["reward"][is_free] == -1).all() and hit.any()
+    with pytest.raises(AgentSettingsError, match=r"goal_tolerances.*2 numbers"):
+        make(goal_tolerances=(0.1,))
+
+
+def test_updates_follow_the_ends_of_episodes():
+    agent = make(warmup=0, updates_per_episode=3.0, max_updates=100, batch_size=4)
+    counts, ended = [], [0]
+
+    def note(point, action, after, goals, tested, terminated, truncated):
+        counts.append(agent.levels[0]._critic_learner.updates)
+        ended.append(ended[-1] + int((terminated | truncated).sum()))
+
+    run(agent, 40, note)
+    assert counts == [3 * number for number in ended[1:]] and counts[-1] > 30
 
 
 def test_environments_without_goals_are_refused():
