@@ -58,12 +58,12 @@ class UpdateSchedule(Stateful):
         """True after the warm-up."""
         return self.steps > self._warmup
 
-    def advance(self, steps: int, stored: int, more: float = 0.0) -> int:
-        """Count steps of the clock; return the number of due updates with `more`, or 0 without `stored` decisions."""
+    def advance(self, steps: int, stored: int) -> int:
+        """Count steps of the clock and return the number of due updates, 0 without `stored` decisions."""
         self.steps += steps
         if not (self.is_warm and stored):
             return 0
-        self._due += steps * self._rate + more
+        self._due += steps * self._rate
         whole = int(self._due)
         self._due -= whole
         return whole

@@ -68,7 +68,7 @@ class HacSettings(AgentSettings):
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
     """Initial weights: U(+-1/sqrt(fan in)); Xavier uniform; or orthogonal, with tanh units."""
     scale_observations: bool = True
-    """Map components with finite bounds to [-1, 1]."""
+    """Map goals, and components of observations with finite bounds, to [-1, 1]."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
     """Step size of Adam. Too large a step diverges."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
@@ -81,8 +81,6 @@ class HacSettings(AgentSettings):
     """Transitions in an update."""
     updates_per_step: Annotated[float, Range(0)] = 0.5
     """Updates of every level for each primitive."""
-    updates_per_episode: Annotated[float, Range(0)] = 0.0
-    """More updates of every level at the end of each episode. The authors make 40, and none between."""
     max_updates: Annotated[int, Range(1)] = 8
     """Most updates after a step of many environments. Where more are due, minibatches grow instead."""
     max_batch_size: Annotated[int, Range(1)] = 1_024
@@ -255,8 +253,9 @@ class Hac(BatchAgent):
 
     def see(self, view: Tensor, goal: Tensor) -> Tensor:
         """Return inputs of a level, (..., numbers), from views without desired goal and goals (..., size)."""
-        middle, half = (self.goals.high + self.goals.low) / 2, (self.goals.high - self.goals.low) / 2
-        return torch.cat((view, (goal - middle) / half), dim=-1)
+        if self.settings.scale_observations:
+            goal = (goal - (self.goals.high + self.goals.low) / 2) / ((self.goals.high - self.goals.low) / 2)
+        return torch.cat((view, goal), dim=-1)
 
     # --- acting --------------------------------------------------------------------------
 
@@ -354,7 +353,7 @@ class Hac(BatchAgent):
             over = calls.is_over[level, env[rows]]
             if bool(over.any()) and settings.hindsight_goals:
                 self._replay_call(level, env[rows][over], count[level, rows][over] + 1)
-        return self._update(int(batch.duration.sum()), int(cut.sum()))
+        return self._update(int(batch.duration.sum()))
 
     def _add(self, level: int, view: Tensor, choice: Tensor, next_view: Tensor, goal: Tensor, reached: Tensor) -> None:
         """Store transitions: reward 0 and no bootstrap where the goal is reached, else -1 and gamma."""
@@ -384,9 +383,9 @@ class Hac(BatchAgent):
             self._add(level, steps["view"][call, number], steps["choice"][call, number],
                       steps["next_view"][call, number], goal, reached)
 
-    def _update(self, primitives: int, episodes: int) -> dict[str, float]:
+    def _update(self, primitives: int) -> dict[str, float]:
         settings, metrics = self.settings, {}
-        due = self._schedule.advance(primitives, len(self.replays[-1]), settings.updates_per_episode * episodes)
+        due = self._schedule.advance(primitives, len(self.replays[-1]))
         for size in list_batch_sizes(settings, due, self.place[1] is not None):
             for number, (level, replay) in enumerate(zip(self.levels, self.replays, strict=True)):
                 metrics |= {f"level_{number}_{name}": value for name, value in

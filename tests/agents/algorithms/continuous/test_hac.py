@@ -138,6 +138,12 @@ def test_one_level_pursues_the_goal_of_the_environment():
     assert len(agent.list_calls()) == 1
 
 
+def test_levels_see_goals_as_they_see_observations():
+    view, goal = torch.tensor([[0.5, -1.0]]), torch.tensor([[2.0, -1.0]])
+    assert make().see(view, goal).tolist() == [[0.5, -1.0, 1.0, -0.5]]
+    assert make(scale_observations=False).see(view, goal).tolist() == [[0.5, -1.0, 2.0, -1.0]]
+
+
 def test_tolerances_of_components_make_a_box():
     differences = torch.tensor([[0.09, 1.9], [0.11, 0.0], [-0.09, -2.1], [-0.1, 2.0]])
     assert find_near(differences, HacSettings(goal_tolerances=(0.1, 2.0))).tolist() == [True, False, False, True]
@@ -152,18 +158,6 @@ def test_tolerances_of_components_make_a_box():
         assert (rows["reward"][hit] == 0).all() and (rows["reward"][is_free] == -1).all() and hit.any()
     with pytest.raises(AgentSettingsError, match=r"goal_tolerances.*2 numbers"):
         make(goal_tolerances=(0.1,))
-
-
-def test_updates_follow_the_ends_of_episodes():
-    agent = make(warmup=0, updates_per_episode=3.0, max_updates=100, batch_size=4)
-    counts, ended = [], [0]
-
-    def note(point, action, after, goals, tested, terminated, truncated):
-        counts.append(agent.levels[0]._critic_learner.updates)
-        ended.append(ended[-1] + int((terminated | truncated).sum()))
-
-    run(agent, 40, note)
-    assert counts == [3 * number for number in ended[1:]] and counts[-1] > 30
 
 
 def test_environments_without_goals_are_refused():
