@@ -85,7 +85,7 @@ def observe(state: NDArray[np.float64], goal: NDArray[np.float64]) -> dict[str, 
 
 def is_near(achieved: NDArray[np.float32], goal: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return which achieved goals (n, 2) are within the tolerance of goals."""
-    return (np.abs(achieved - goal) <= TOLERANCE).all(axis=1)
+    return np.asarray((np.abs(achieved - goal) <= TOLERANCE).all(axis=1))
 
 
 class Pendulums(VectorEnv):
@@ -101,17 +101,17 @@ class Pendulums(VectorEnv):
 
     def __init__(self, num_envs: int) -> None:
         top = np.array((np.pi, MOST_SPEED), np.float32)
-        parts = dict.fromkeys(("achieved_goal", "desired_goal"), spaces.Box(-top, top))
-        parts["observation"] = spaces.Box(-np.inf, np.inf, (3,), np.float32)
-        self.single_observation_space = spaces.Dict(parts)
+        goals, free = spaces.Box(-top, top), spaces.Box(-np.inf, np.inf, (3,), np.float32)
+        self.single_observation_space = spaces.Dict(
+            {"achieved_goal": goals, "desired_goal": goals, "observation": free})
         self.single_action_space, self.num_envs = spaces.Box(-TORQUE, TORQUE, (1,), np.float32), num_envs
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._state, self._goal, self._steps = np.zeros((2, num_envs)), np.zeros((num_envs, 2)), np.zeros(num_envs, int)
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    def reset(self, *, seed: Any = None, options: dict[str, Any] | None = None
               ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-        """Begin an episode of each pendulum with a goal of training."""
+        """Begin an episode of each pendulum with a goal of training; a seed is one number for all."""
         super().reset(seed=seed)
         self._begin(np.ones(self.num_envs, dtype=bool))
         return observe(self._state, self._goal), {}
