@@ -78,8 +78,8 @@ def test_a_run_is_evaluated_after_equal_parts(monkeypatch):
 
 def test_tables_have_means_over_seeds():
     rows = [{"levels": levels, "seed": seed, "primitives": 200, "seconds": 100.0,
-             "scores": [[100, 0.1 * levels], [200, 0.2 * levels + 0.01 * seed]]}
+             "scores": [[100, 0.1 * levels], [200, 0.2 * levels + 0.01 * seed], [300, 0.1]]}
             for levels in (1, 2) for seed in range(10)]
     lines = summarise(rows).splitlines()
-    assert "| 1 | 1000 | 10 | 0.25 (0.23 to 0.26) | 0.17" in lines[2]
-    assert "| 2 | 32 | 10 | 0.45 (0.43 to 0.46) | 0.32" in lines[3]
+    assert "| 1 | 1000 | 10 | 0.10 (0.10 to 0.10) | 0.25 (0.23 to 0.26) | 0.15" in lines[2]
+    assert "| 2 | 32 | 10 | 0.10 (0.10 to 0.10) | 0.45 (0.43 to 0.46) | 0.25" in lines[3]
