@@ -2,7 +2,7 @@
 
     python -m benchmarks.hac_pendulum                          # ten seeds of each number of levels
     python -m benchmarks.hac_pendulum --levels 2 --seeds 0 1   # two runs
-    python -m benchmarks.hac_pendulum --table                  # table of the finished runs
+    python -m benchmarks.hac_pendulum --table                  # tables of the finished runs
 
 The task has the constants of the authors' program, and MuJoCo's step of a hinge. Training goals are near the top, and
 100 test episodes without noise begin anywhere but there and end within the tolerance of rest at the top. Settings are
@@ -37,6 +37,8 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.decisions import Moments, Policy
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.results import Evaluation
+from hrl_escape.benchmark.inference import compare_pairs
+from studies.statistics import compare_signs
 
 MASS, LENGTH, RADIUS, DAMPING, GRAVITY, TORQUE = 1.0, 0.5, 0.05, 0.1, 9.81, 2.0
 """Ball at the end of a pole without mass: kg, m, m, N m s, m/s^2, and largest torque, N m."""
@@ -211,8 +213,19 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def compare(rows: Sequence[dict[str, Any]]) -> str:
+    """A table of two levels minus one in the same seeds, with Student's interval and a sign-flip test."""
+    ends = {levels: {row["seed"]: row["scores"][-1][1] for row in rows if row["levels"] == levels} for levels in (1, 2)}
+    gaps = np.array([ends[2][seed] - ends[1][seed] for seed in sorted(ends[1].keys() & ends[2].keys())])
+    if len(gaps) < 2:
+        return ""
+    test, p = compare_pairs([gaps]), compare_signs({"levels": gaps})["levels"].p
+    return ("| levels | pairs | difference at the end | 95 % interval | p |\n|---|---|---|---|---|\n"
+            f"| 2 - 1 | {test.pairs} | {test.difference:+.2f} | {test.low:+.2f} to {test.high:+.2f} | {p:.3f} |")
+
+
 def main() -> None:
-    """Run what is missing, then print the table."""
+    """Run what is missing, then print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--levels", nargs="+", type=int, choices=ATTEMPTS, default=list(ATTEMPTS))
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
@@ -233,7 +246,8 @@ def main() -> None:
             with args.out.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
             print(json.dumps(rows[-1]), flush=True)
-    print(summarise([row for row in rows if row["primitives"] == args.primitives]))
+    rows = [row for row in rows if row["primitives"] == args.primitives]
+    print(summarise(rows), compare(rows), sep="\n\n")
 
 
 if __name__ == "__main__":
