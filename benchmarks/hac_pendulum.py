@@ -37,8 +37,7 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.decisions import Moments, Policy
 from hrl_escape.agents.training.callbacks import Callback
 from hrl_escape.agents.training.results import Evaluation
-from hrl_escape.benchmark.inference import compare_pairs
-from studies.statistics import compare_signs
+from studies.statistics import LEAST_RUNS, compare_signs
 
 MASS, LENGTH, RADIUS, DAMPING, GRAVITY, TORQUE = 1.0, 0.5, 0.05, 0.1, 9.81, 2.0
 """Ball at the end of a pole without mass: kg, m, m, N m s, m/s^2, and largest torque, N m."""
@@ -53,6 +52,8 @@ PENDULUMS, PRIMITIVES, EVALUATIONS, TESTS = 128, 1_048_576, 8, 100
 """Pendulums that step together, primitives of a run, evaluations after equal parts of it, and their episodes."""
 ATTEMPTS = {1: MOST_ACTIONS, 2: 32, 3: 10}
 """Levels -> H, choices of a level for a goal."""
+PAIRS = ((2, 1), (3, 1), (3, 2))
+"""Numbers of levels that are compared."""
 PUBLISHED: dict[str, Any] = {
     "gamma": 0.98, "goal_tolerances": TOLERANCE.tolist(), "hidden": [64, 64, 64], "learning_rate": 1e-3,
     "scale_observations": False, "warmup": 0, "subgoal_tests": 0.3, "hindsight_goals": 3, "random_share": 0.2,
@@ -214,14 +215,16 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def compare(rows: Sequence[dict[str, Any]]) -> str:
-    """A table of two levels minus one in the same seeds, with Student's interval and a sign-flip test."""
-    ends = {levels: {row["seed"]: row["scores"][-1][1] for row in rows if row["levels"] == levels} for levels in (1, 2)}
-    gaps = np.array([ends[2][seed] - ends[1][seed] for seed in sorted(ends[1].keys() & ends[2].keys())])
-    if len(gaps) < 2:
-        return ""
-    test, p = compare_pairs([gaps]), compare_signs({"levels": gaps})["levels"].p
-    return ("| levels | pairs | difference at the end | 95 % interval | p |\n|---|---|---|---|---|\n"
-            f"| 2 - 1 | {test.pairs} | {test.difference:+.2f} | {test.low:+.2f} to {test.high:+.2f} | {p:.3f} |")
+    """A table of differences between levels at the end, of the same seeds, as one family of sign-flip tests (Holm)."""
+    ends = {levels: {row["seed"]: row["scores"][-1][1] for row in rows if row["levels"] == levels}
+            for levels in ATTEMPTS}
+    gaps = {f"{more} - {fewer}": [ends[more][seed] - ends[fewer][seed] for seed in ends[more].keys() & ends[fewer]]
+            for more, fewer in PAIRS}
+    lines = ["| levels | pairs | difference at the end | interval | p, Holm |", "|---|---|---|---|---|"]
+    for name, test in compare_signs({name: own for name, own in gaps.items() if len(own) >= LEAST_RUNS}).items():
+        lines.append(f"| {name} | {len(gaps[name])} | {test.mean:+.2f} | {test.low:+.2f} to {test.high:+.2f} | "
+                     f"{test.p:.3f} |")
+    return "\n".join(lines) if len(lines) > 2 else ""
 
 
 def main() -> None:
