@@ -15,7 +15,6 @@ each, in the file `--out`; the command continues a stopped run.
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import time
 from collections import defaultdict
@@ -27,6 +26,7 @@ import gymnasium
 import numpy as np
 import torch
 
+from benchmarks.finished_runs import run_missing
 from hrl_escape.agents import train
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.benchmark.inference import ALPHA, compare_pairs
@@ -107,12 +107,13 @@ def show_rates(learners: Iterable[str]) -> None:
         print(f"| {learner} | {' | '.join(rates)} |", flush=True)
 
 
-def list_runs(args: argparse.Namespace) -> Iterator[tuple[str, str, int, int]]:
-    """Yield task, learner, seed and primitives of every run."""
+def list_runs(args: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Yield what identifies every run."""
     for seed in range(args.seeds):
         for task in args.tasks:
             for learner in args.learners:
-                yield task, learner, seed, args.primitives or TASKS[task]
+                yield {"task": task, "learner": learner, "seed": seed, "primitives": args.primitives or TASKS[task],
+                       "every": 1 if learner.endswith("ppo") else args.every}
 
 
 def summarise(rows: list[dict[str, Any]]) -> str:
@@ -172,20 +173,13 @@ def main() -> None:
     torch.set_num_threads(1)
     if args.rates:
         return show_rates(args.learners)
-    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
-    known = {(row["task"], row["learner"], row["seed"], row["primitives"], row["every"]) for row in rows}
-    for task, learner, seed, primitives in () if args.table else list_runs(args):
-        every = 1 if learner.endswith("ppo") else args.every
-        if (task, learner, seed, primitives, every) in known:
-            continue
-        started = time.process_time()
-        run = run_peer if learner.startswith("sb3-") else run_own
-        final = run(learner, task, seed, primitives, args.warmup, every, args.episodes)
-        rows.append({"task": task, "learner": learner, "seed": seed, "primitives": primitives, "warmup": args.warmup,
-                     "every": every, "episodes": args.episodes, "final": final,
-                     "seconds": round(time.process_time() - started, 1)})
-        with args.out.open("a") as file:
-            file.write(json.dumps(rows[-1]) + "\n")
+
+    def run(learner: str, **cell: Any) -> dict[str, Any]:
+        train_it = run_peer if learner.startswith("sb3-") else run_own
+        return {"warmup": args.warmup, "episodes": args.episodes,
+                "final": train_it(learner, **cell, warmup=args.warmup, episodes=args.episodes)}
+
+    rows = run_missing(args.out, () if args.table else list_runs(args), run)
     print(summarise(rows), compare(rows), sep="\n\n")
     return None
 

@@ -5,8 +5,8 @@
     python -m benchmarks.hac_pendulum --table                  # tables of the finished runs
 
 The task has the constants of the authors' program, and MuJoCo's step of a hinge. Training goals are near the top, and
-100 test episodes without noise begin anywhere but there and end within the tolerance of rest at the top. Settings are
-those of the program, `PUBLISHED`, except that 128 pendulums step together, and that after each step every level makes
+100 test episodes without noise begin anywhere but there and end within the tolerance of rest at the top. The settings
+follow the program (`PUBLISHED`), except that 128 pendulums step together, and that after each step every level makes
 4 updates from minibatches of 256. There, one pendulum moves, and 40 updates from minibatches of 1,024 follow an
 episode. Finished runs are kept, a line each, in the file `--out`, by default `benchmarks/hac-pendulum.jsonl`; the
 command continues a stopped run.
@@ -17,8 +17,6 @@ Levy, Konidaris, Platt and Saenko (2019); github.com/andrew-j-levy/Hierarchical-
 from __future__ import annotations
 
 import argparse
-import json
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -31,12 +29,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from benchmarks.point_mazes import estimate_mean
+from benchmarks.finished_runs import run_missing
+from benchmarks.point_mazes import Measuring, estimate_mean
 from hrl_escape.agents import train
-from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.decisions import Moments, Policy
-from hrl_escape.agents.training.callbacks import Callback
-from hrl_escape.agents.training.results import Evaluation
 from studies.statistics import LEAST_RUNS, compare_signs
 
 MASS, LENGTH, RADIUS, DAMPING, GRAVITY, TORQUE = 1.0, 0.5, 0.05, 0.1, 9.81, 2.0
@@ -155,7 +151,7 @@ class ShortPendulum(gymnasium.Env):
         return {name: rows[0] for name, rows in self._env.step(action[None])[0].items()}, -1.0, False, True, {}
 
 
-def measure(policy: Policy) -> float:
+def measure(policy: Policy) -> tuple[float]:
     """Return the share of `TESTS` episodes in which a policy reaches rest at the top."""
     rng = np.random.default_rng(1_000)
     state, goal = draw_state(rng, TESTS), np.zeros((TESTS, 2))
@@ -171,25 +167,12 @@ def measure(policy: Policy) -> float:
         state[:, rows] = swing(state[:, rows], np.asarray(action, np.float64)[:, 0])
         seen = observe(state, goal)
         won |= is_near(seen["achieved_goal"], goal)
-    return float(won.mean())
+    return (float(won.mean()),)
 
 
-class Measuring(Callback):
-    """Keeps primitives and success rate of each evaluation after the beginning."""
-
-    def __init__(self) -> None:
-        self.scores = list[tuple[int, float]]()
-
-    def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
-        """Measure the agent without noise."""
-        if evaluation.primitives:
-            self.scores.append((evaluation.primitives, measure(agent.make_policy())))
-        return False
-
-
-def run(levels: int, seed: int, primitives: int, num_envs: int = PENDULUMS) -> list[tuple[int, float]]:
+def run(levels: int, seed: int, primitives: int, num_envs: int = PENDULUMS) -> list[tuple[Any, ...]]:
     """Train HAC; returns primitives and success rate of each evaluation."""
-    measuring = Measuring()
+    measuring = Measuring(measure)
     settings = PUBLISHED | UPDATES | {"levels": levels, "attempts": ATTEMPTS[levels]}
     train("hac", Pendulums(num_envs), primitives=primitives, seed=seed, settings=settings,
           eval_every=primitives // EVALUATIONS, eval_env=ShortPendulum(), eval_episodes=1, callbacks=[measuring],
@@ -237,18 +220,9 @@ def main() -> None:
     parser.add_argument("--table", action="store_true")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
-    for seed in () if args.table else args.seeds:
-        for levels in args.levels:
-            cell = {"levels": levels, "seed": seed, "primitives": args.primitives}
-            if any(row.items() >= cell.items() for row in rows):
-                continue
-            started = time.process_time()
-            scores = run(levels, seed, args.primitives)
-            rows.append(cell | {"scores": scores, "seconds": round(time.process_time() - started, 1)})
-            with args.out.open("a") as file:
-                file.write(json.dumps(rows[-1]) + "\n")
-            print(json.dumps(rows[-1]), flush=True)
+    cells = [{"levels": levels, "seed": seed, "primitives": args.primitives}
+             for seed in args.seeds for levels in args.levels]
+    rows = run_missing(args.out, () if args.table else cells, lambda **cell: {"scores": run(**cell)})
     rows = [row for row in rows if row["primitives"] == args.primitives]
     print(summarise(rows), compare(rows), sep="\n\n")
 

@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ import numpy as np
 import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
+from benchmarks.finished_runs import run_missing
 from hrl_escape.agents import train
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.decisions import Moments, Policy
@@ -93,30 +93,34 @@ def measure(policy: Policy, maze: str) -> tuple[float, float]:
         steps += ~over
         won += terminated & ~over
         over |= terminated | truncated
-    return float(won.mean()), float(steps.mean())
+    return round(float(won.mean()), 4), round(float(steps.mean()), 1)
 
 
 class Measuring(Callback):
-    """Keeps primitives, success rate and steps of each evaluation after the beginning."""
+    """Keeps primitives and measures of each evaluation after the beginning.
 
-    def __init__(self, maze: str) -> None:
-        self._maze, self.scores = maze, list[tuple[int, float, float]]()
+    Args:
+        measure: returns the measures of a policy.
+    """
+
+    def __init__(self, measure: Callable[[Policy], tuple[float, ...]]) -> None:
+        self._measure, self.scores = measure, list[tuple[Any, ...]]()
 
     def on_evaluation(self, agent: Agent, evaluation: Evaluation) -> bool:
         """Evaluate the agent without noise."""
         if evaluation.primitives:
-            success, steps = measure(agent.make_policy(), self._maze)
-            self.scores.append((evaluation.primitives, round(success, 4), round(steps, 1)))
+            self.scores.append((evaluation.primitives, *self._measure(agent.make_policy())))
         return False
 
 
-def run(learner: str, maze: str, seed: int, primitives: int, trial: int = 0) -> list[tuple[int, float, float]]:
+def run(learner: str, maze: str, seed: int, primitives: int, trial: int = 0) -> list[tuple[Any, ...]]:
     """Train a learner; returns primitives, success rate and steps of each evaluation."""
     base = learner.partition("-")[0]
     settings = COMMON | TRIALS.get(learner, TRIALS[base])[trial] | CHANGES.get(learner, {})
     scale = SCALES[maze]
     env = gymnasium.make_vec("hrl_escape/PointMaze-v1", num_envs=scale.num_envs, maze=maze)
-    measuring, unused = Measuring(maze), gymnasium.make("hrl_escape/PointMaze-v1", maze=maze, max_steps=1)
+    unused = gymnasium.make("hrl_escape/PointMaze-v1", maze=maze, max_steps=1)
+    measuring = Measuring(partial(measure, maze=maze))
     train(base, env, primitives=primitives, seed=seed, settings=settings,
           eval_every=primitives // scale.evaluations, eval_env=unused, eval_episodes=1, callbacks=[measuring],
           progress=False, observed=False)
@@ -251,21 +255,12 @@ def main() -> None:
                 share = explore(random_start, window, reach)
                 print(f"| {'any cell' if random_start else 'south-west room'} | {window} | {reach} | {share:.1%} |")
         return
-    rows = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
     seeds = args.seeds or ([100] if args.trials else list(range(10)))
-    wanted = [(maze, learner, seed, trial) for maze in args.mazes for seed in seeds for learner in args.learners
-              for trial in (range(len(TRIALS.get(learner, ()))) if args.trials else (0,))]
-    for maze, learner, seed, trial in () if args.table else wanted:
-        cell = {"maze": maze, "learner": learner, "seed": seed, "trial": trial,
-                "primitives": args.primitives or SCALES[maze].primitives}
-        if any(row.items() >= cell.items() for row in rows):
-            continue
-        started = time.process_time()
-        scores = run(learner, maze, seed, cell["primitives"], trial)
-        rows.append(cell | {"scores": scores, "seconds": round(time.process_time() - started, 1)})
-        with args.out.open("a") as file:
-            file.write(json.dumps(rows[-1]) + "\n")
-        print(json.dumps(rows[-1]), flush=True)
+    cells = [{"maze": maze, "learner": learner, "seed": seed, "trial": trial,
+              "primitives": args.primitives or SCALES[maze].primitives}
+             for maze in args.mazes for seed in seeds for learner in args.learners
+             for trial in (range(len(TRIALS.get(learner, ()))) if args.trials else (0,))]
+    rows = run_missing(args.out, () if args.table else cells, lambda **cell: {"scores": run(**cell)})
     rows = [row for row in rows if row["seed"] in seeds and row["trial"] == 0]
     print(summarise(rows), compare(rows), sep="\n\n")
     if args.table:

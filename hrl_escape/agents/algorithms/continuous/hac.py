@@ -254,7 +254,7 @@ class Hac(BatchAgent):
     def see(self, view: Tensor, goal: Tensor) -> Tensor:
         """Return inputs of a level, (..., numbers), from views without desired goal and goals (..., size)."""
         if self.settings.scale_observations:
-            goal = (goal - (self.goals.high + self.goals.low) / 2) / ((self.goals.high - self.goals.low) / 2)
+            goal = self._goal_box.unscale(goal)
         return torch.cat((view, goal), dim=-1)
 
     # --- acting --------------------------------------------------------------------------
