@@ -36,7 +36,7 @@ LESSONS = [
     ("own_agent.py", ["--primitives", "1000"], [r"return -1000 untrained, -?\d+ after 1,\d\d\d primitives"]),
     ("own_option.py", [], [r"slide-\w+: \d+ primitives, reached"]),
     ("own_option_set.py", [], [r"press-button-1: \d+ primitives, reached", r"go-home: \d+ primitives, reached",
-                               "smdp-q-learning chooses among press-or-go-home"]),
+                               r"option_set=press-or-go-home\) chooses among press-or-go-home"]),
     ("own_reward.py", [], [r"one room: \[-1.0, -1.5\]", r"a batch:  \[\[-1.0, -1.0\], \[-1.5, -1.5\]\]"]),
     ("own_puzzle.py", ["--count", "3"], [r"press-light-2 ", r"total +\d+ .*return [5-9]\d"]),
     ("own_robot.py", [], [r"flange within (0e\+00|\de-1\d) m", r"[1-9]\d* postures reach", r"through \d+ postures"]),
