@@ -427,7 +427,7 @@ TURNING = make_arm(kind="continuous", limit='<limit effort="10" velocity="1"/>')
 
 def test_a_continuous_joint_takes_the_short_way_round():
     planner, state = place_arm(TURNING, angles=[math.radians(170)])
-    for goal in (-170, 190, 550):
+    for goal in (-170, 190, 550, 910, -1250):
         path = planner.plan(state, [math.radians(goal)])
         assert np.degrees(path.points[:, 0]) == pytest.approx([170, 190])
     times, positions, _ = make_trajectory(path).sample(100)
