@@ -101,6 +101,9 @@ class Grid(Settings):
         _refuse_duplicates("agent label", [agent.label for agent in self.agents])
         for agent in self.agents:
             check_option_set(agent.options.option_set)
+            if self.env is None and agent.drives_velocities:
+                raise GridError(f"{agent.label} drives velocities, and rooms are compared by numbers of primitives: "
+                                "give env a function that makes hrl_escape/EscapeRoomContinuous-v1 with the room")
         if not get_observation(self.observation).is_vector:
             raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
 

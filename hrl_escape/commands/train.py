@@ -180,11 +180,12 @@ def run(args: TrainArgs) -> None:
     else:
         env = args.make_batch(spec, rooms)
     result = _train(args, player or spec, env, place, observed=recorder is None)
-    if isinstance(env, gymnasium.Env) and recorder is not None and isinstance(rooms, RoomInstance):
+    planned = rooms if isinstance(rooms, RoomInstance) and not spec.drives_velocities else None
+    if isinstance(env, gymnasium.Env) and recorder is not None and planned is not None:
         _record(env, recorder, result, f"{spec.label}, seed {args.seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
-    _tell(args, spec, result, best_known_return(rooms) if isinstance(rooms, RoomInstance) else None)
+    _tell(args, spec, result, None if planned is None else best_known_return(planned))
 
 
 def _train(args: TrainArgs, agent: AgentSpec | Agent, env: gymnasium.Env | VectorEnv | ManyEnvs | None, place: str,

@@ -1,4 +1,6 @@
-"""`train` and `record` with agents that drive velocities."""
+"""`train`, `record` and `compare` with agents that drive velocities."""
+
+import json
 
 import pytest
 
@@ -23,3 +25,20 @@ def test_a_trained_agent_is_recorded_with_its_velocities(tmp_path, capsys, agent
 def test_sets_of_rooms_have_no_velocities(capsys):
     code, _, error = call(capsys, "train", "sac", "--room", "ladder-1/pair/train", "--primitives", "60")
     assert code and "name one room" in error
+
+
+@pytest.mark.filterwarnings("error:.*was the best known")
+def test_returns_of_velocities_are_not_held_against_plans_in_primitives(tmp_path, capsys):
+    """The untrained agent escapes from one of ten starts, in fewer seconds than the plan has primitives."""
+    code, printed, error = call(capsys, "train", "sac", "--room", "continuous-four-rooms", "--primitives", "40",
+                                "--eval-every", "40", "--eval-episodes", "10", "--settings", "hidden=[16]", "--json",
+                                "--out", str(tmp_path / "run"))
+    assert code == 0, error
+    result = json.loads(printed)
+    assert result["best_known"] is None
+    assert any(max(found["returns"]) > -2 for found in result["evaluations"]), "an escape within two seconds"
+
+
+def test_rooms_are_not_compared_by_velocities(capsys):
+    code, _, error = call(capsys, "compare", "--agents", "sac", "td3", "--room", "continuous-four-rooms", "--dry-run")
+    assert code and "EscapeRoomContinuous-v1" in error
