@@ -40,8 +40,8 @@ class HacFiniteSettings(AgentSettings):
     polled: Literal["never", "evaluation", "always"] = "never"
     """Choose every running call again at each primitive, instead of running it to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""
-    levels: Annotated[int, Range(2, 4)] = 2
-    """Number of levels, including the one that chooses primitives."""
+    levels: Annotated[int, Range(1, 4)] = 2
+    """Number of levels, including the one that chooses primitives; 1 is a flat agent with goals in hindsight."""
     attempts: Annotated[int, Range(1)] = 5
     """H, most choices of a level for one goal. A level i above the primitives stops after H^(i + 1) primitives, the
     highest level never."""

@@ -59,6 +59,13 @@ def test_goals_reached_later_teach_every_level():
     assert values[5] == 0.0 and (np.delete(values, 5) == -4.0).all(), "one call of four primitives reached 5"
 
 
+def test_one_level_is_q_learning_with_goals_in_hindsight():
+    agent = walk([1, 1, 1], [1, 2, 3, 4], terminated=True, levels=1, attempts=9, hindsight_goals=60)
+    values = {goal: [agent.compute_choice_values("level 0", cell, goal)[1] for cell in (1, 2, 3)]
+              for goal in (END, 3, 4, 7)}
+    assert values == {END: [-2, -1, 0], 3: [-1, 0, -9], 4: [-2, -1, 0], 7: [-9, -9, -9]}
+
+
 @pytest.mark.parametrize(("tested", "expected"), [(1, -2.0), (0, -1.0)])
 def test_a_subgoal_that_misses_its_test_is_worth_minus_h_and_nothing_follows(tested, expected):
     agent = make(ROW, attempts=2, learning_rate=1.0, hindsight_goals=0)
