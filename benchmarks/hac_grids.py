@@ -45,7 +45,7 @@ ATTEMPTS = {1: HORIZON, 2: 14, 3: 6}
 SETTINGS: dict[str, Any] = {"learning_rate": 1.0, "hindsight_goals": 20}
 
 
-class GridTask(gymnasium.Env[NDArray[np.int64], np.int64]):
+class GridTask(gymnasium.Env):
     """Walk from one cell to another; observations are both, (2,).
 
     Args:
@@ -64,7 +64,7 @@ class GridTask(gymnasium.Env[NDArray[np.int64], np.int64]):
         self._state, self._steps = self.np_random.choice(len(self.grid), 2, replace=False), 0
         return self._state.copy(), {}
 
-    def step(self, action: np.int64) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
+    def step(self, action: int) -> tuple[NDArray[np.int64], float, bool, bool, dict[str, Any]]:
         """Move north, south, west or east; the reward is -1, and 0 at the goal."""
         self._state[0] = self.grid.move(int(self._state[0]), int(action))
         self._steps += 1
