@@ -63,7 +63,7 @@ COMMON: dict[str, Any] = {"hidden": [64, 64], "batch_size": 256, "max_batch_size
 SLOW, FAST = {"learning_rate": 3e-4, "target_rate": 0.005}, {"learning_rate": 1e-3, "target_rate": 0.05}
 GOALS = {"goal_range": [1.5, 1.5]}
 TRIALS: dict[str, tuple[dict[str, Any], ...]] = {
-    "hiro": (GOALS | FAST, GOALS | SLOW), "hrac": (GOALS | FAST, GOALS | SLOW),
+    "hiro": (GOALS | FAST, GOALS | SLOW), "hrac": tuple(GOALS | FAST | {"adjacency_bins": bins} for bins in (6, 9, 24)),
     "hac": ({"learning_rate": 1e-3}, {"learning_rate": 3e-4}),
     "td3": (FAST, SLOW), "td3-hindsight": (FAST, SLOW), "sac": (FAST, SLOW), "sac-hindsight": (FAST, SLOW)}
 """Settings that were tried for each learner on seeds from 100. The first of each are those of the study."""

@@ -35,9 +35,9 @@ class HracSettings(HiroSettings):
 
     adjacency_weight: Annotated[float, Range(0)] = 20.0
     """eta, weight of the penalty. 0 is HIRO."""
-    adjacency_bins: Annotated[int, Range(2)] = 24
-    """Cells of the goal space along each component, which record visits. More cells distinguish nearer points
-    and fill more slowly."""
+    adjacency_bins: Annotated[int, Range(2)] = 6
+    """Cells of the goal space along each component, which record visits. More cells distinguish nearer points and fill
+    more slowly. A cell should be smaller than the way of a window."""
     adjacency_radius: Annotated[float, Range(0, open_low=True)] = 1.0
     """eps, largest embedded distance of adjacent points."""
     adjacency_margin: Annotated[float, Range(0)] = 0.2
