@@ -101,9 +101,6 @@ class Grid(Settings):
         _refuse_duplicates("agent label", [agent.label for agent in self.agents])
         for agent in self.agents:
             check_option_set(agent.options.option_set)
-            if self.env is None and agent.drives_velocities:
-                raise GridError(f"{agent.label} drives velocities, and rooms are compared by numbers of primitives: "
-                                "give env a function that makes hrl_escape/EscapeRoomContinuous-v1 with the room")
         if not get_observation(self.observation).is_vector:
             raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
 
@@ -171,13 +168,17 @@ class Grid(Settings):
             places: from `make_places`.
 
         Raises:
-            GridError: two rooms or two agents are equal.
+            GridError: two rooms or two agents are equal, or an agent drives velocities in rooms.
             EscapeError: an agent or one of its settings does not exist.
         """
         _refuse_duplicates("room", [place.id for place in places])
         counts = Counter(place.name for place in places)
         names = [f"{place.name}-{place.id[:6]}" if counts[place.name] > 1 else place.name for place in places]
         resolved = [agent.resolve_settings() for agent in self.agents]
+        driving = [agent.label for agent in self.agents if self.env is None and agent.drives_velocities]
+        if driving:
+            raise GridError(f"{driving[0]} drives velocities, and rooms are compared by numbers of primitives: give "
+                            "env a function that makes hrl_escape/EscapeRoomContinuous-v1 with the room")
         given = [find_given_agent(agent.name) for agent in self.agents]
         codes = [None if kind is None else compute_code_digest(kind) for kind in given]
         if any(place.split is not None and place.split.is_transfer for place in places):
