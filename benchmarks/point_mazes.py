@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -186,9 +187,12 @@ def draw_curves(rows: Sequence[dict[str, Any]], path: Path = FIGURE) -> None:
     from hrl_escape.figures import LINES, get_figure_class, save_figure
 
     mazes = [maze for maze in SCALES if any(row["maze"] == maze for row in rows)]
-    figure = get_figure_class()(figsize=(2.6 * len(mazes), 2.8), layout="constrained")
-    panels = figure.subplots(1, len(mazes), sharey=True, squeeze=False)[0]
-    for axes, maze in zip(panels, mazes, strict=True):
+    rows_of_panels = math.ceil(len(mazes) / 2)
+    figure = get_figure_class()(figsize=(6.4, 0.6 + 2.4 * rows_of_panels), layout="constrained")
+    panels = figure.subplots(rows_of_panels, 2, sharey=True, squeeze=False)
+    for axes in panels.flat[len(mazes):]:
+        axes.remove()
+    for axes, maze in zip(panels.flat, mazes, strict=False):
         for learner, colour in zip(CURVES, LINES, strict=False):
             runs = np.array([row["scores"] for row in rows if (row["maze"], row["learner"]) == (maze, learner)])
             if len(runs):
@@ -196,8 +200,9 @@ def draw_curves(rows: Sequence[dict[str, Any]], path: Path = FIGURE) -> None:
                 axes.plot(runs[0, :, 0] / 1_000, mean, color=colour, label=learner, marker=".")
                 axes.fill_between(runs[0, :, 0] / 1_000, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.set(title=maze, xlabel="primitives / 1,000", ylim=(0, 1), xlim=(0, None))
-    panels[0].set_ylabel("success rate")
-    handles, labels = panels[0].get_legend_handles_labels()
+    for axes in panels[:, 0]:
+        axes.set_ylabel("success rate")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=3, frameon=False, fontsize="small")
     save_figure(path, figure)
 
