@@ -183,7 +183,7 @@ class GoesByDepth(StackAgent):
 @pytest.mark.nightly_for(
     "LastsLonger-lasts as long as its primitives", r"DiscountsOncePerDecision-gamma\\^k",
     "PaysFinalToTheCut-`final` is asked only|`final` where it ended",
-    "LeaksFinalToTheCaller-discounted sum of its task's pay", "TakesCutsForEnds-not told that it terminated",
+    "LeaksFinalToTheCaller-discounted sum of its task's pay", "TakesCutsForEnds-does not receive termination",
     "SaysNothingOfCuts-receives truncation", "UnwindsFromOutside-innermost",
     "HearsOfTheIllegal-legal choices only", "GoesByNumber-renumbering", "GoesByDepth-chain")
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ class GoesByDepth(StackAgent):
         (DiscountsOncePerDecision, "gamma\\^k"),
         (PaysFinalToTheCut, "`final` is asked only|`final` where it ended"),
         (LeaksFinalToTheCaller, "discounted sum of its task's pay"),
-        (TakesCutsForEnds, "not told that it terminated"),
+        (TakesCutsForEnds, "does not receive termination"),
         (SaysNothingOfCuts, "receives truncation"),
         (UnwindsFromOutside, "innermost"),
         (LearnsWhileEvaluated, "evaluation changes nothing"),
