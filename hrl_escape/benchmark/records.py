@@ -38,11 +38,12 @@ def record_escapes(env: gymnasium.Env, seeds: Sequence[int], evaluations: Sequen
     """Raise the best known returns of a room that a training run has beaten, and warn; see `run_observers`.
 
     It plans once from the start of each successful episode, and searches for the best known return only if the agent
-    beat that plan. Environments that are not rooms, puzzles with rewards of their own, and returns that a wrapper
-    changed are ignored. The evaluation environment is reset.
+    beat that plan. Environments that are not rooms, velocities, puzzles with rewards of their own, and returns that a
+    wrapper changed are ignored. The evaluation environment is reset.
     """
     room: Any = env.unwrapped
-    if not isinstance(getattr(room, "instance", None), RoomInstance):
+    if not isinstance(getattr(room, "instance", None), RoomInstance) or (
+            not isinstance(room.action_space, gymnasium.spaces.Discrete)):
         return
     for n, seed in enumerate(seeds):
         escapes = {(found.lengths[n], found.returns[n]) for found in evaluations if found.successes[n]}

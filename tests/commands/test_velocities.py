@@ -1,9 +1,14 @@
 """`train`, `record` and `compare` with agents that drive velocities."""
 
 import json
+import warnings
 
+import gymnasium
 import pytest
 
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.agents.training.evaluation import Evaluation
+from hrl_escape.benchmark.records import record_escapes
 from tests.command_line import call
 
 SMALL = ("--settings", "hidden=[8]", "batch_size=8", "warmup=20", "updates_per_step=0.1")
@@ -37,6 +42,17 @@ def test_returns_of_velocities_are_not_held_against_plans_in_primitives(tmp_path
     result = json.loads(printed)
     assert result["best_known"] is None
     assert any(max(found["returns"]) > -2 for found in result["evaluations"]), "an escape within two seconds"
+
+
+def test_an_escape_in_one_step_of_a_second_is_no_record_of_primitives():
+    at_once = Evaluation(0, 0, (-1.0,), (1,), (1,), (True,), (1.0,))
+    driven = gymnasium.make("hrl_escape/EscapeRoomContinuous-v1", config="continuous-four-rooms", time_step=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        record_escapes(driven, [0], [at_once], "sac")
+    stepped = gymnasium.make("hrl_escape/EscapeRoom-v1", config="continuous-four-rooms")
+    with pytest.warns(UserWarning, match="was the best known"):
+        record_escapes(stepped, [0], [at_once], "dqn")
 
 
 def test_rooms_are_not_compared_by_velocities(capsys):
