@@ -28,12 +28,11 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.finished_runs import run_missing
-from benchmarks.hac_pendulum import PAIRS
-from benchmarks.point_mazes import estimate_mean
+from benchmarks.hac_pendulum import PAIRS, show_gaps
+from benchmarks.point_mazes import format_mean
 from hrl_escape.agents import train
 from hrl_escape.agents.algorithms.task_hierarchies.hac_finite import HacFinite
 from hrl_escape.agents.hierarchy.goal_space import GoalSpace, GoalView
-from studies.statistics import LEAST_RUNS, compare_signs
 from tests.classic.four_rooms import GRID
 from tests.classic.grid import Grid
 
@@ -109,9 +108,8 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
         for levels, attempts in ATTEMPTS.items():
             if not (found := select(rows, grid, levels)):
                 continue
-            ends = estimate_mean(np.array(list(found.values()))).T
-            cells = [f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
-                     for (low, mean, high), digits in zip(ends, (2, 2, 2, 1), strict=True)]
+            cells = [format_mean(values, digits) for values, digits in zip(
+                np.array(list(found.values())).T, (2, 2, 2, 1), strict=True)]
             cpu = np.mean([row["seconds"] for row in rows if (row["grid"], row["levels"]) == (grid, levels)])
             lines.append(f"| {grid} | {levels} | {attempts} | {len(found)} | {' | '.join(cells)} | {cpu:.0f} |")
     return "\n".join(lines)
@@ -124,13 +122,8 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
         for more, fewer in PAIRS:
             runs = [select(rows, grid, levels) for levels in (more, fewer)]
             both = runs[0].keys() & runs[1].keys()
-            if len(both) >= LEAST_RUNS:
-                gaps[f"{grid} | {more} - {fewer}"] = [runs[0][seed][2] - runs[1][seed][2] for seed in both]
-    lines = ["| grid | levels | pairs | difference in area | interval | p, Holm |", "|---|---|---|---|---|---|"]
-    for name, test in compare_signs(gaps).items():
-        lines.append(f"| {name} | {len(gaps[name])} | {test.mean:+.3f} | {test.low:+.3f} to {test.high:+.3f} | "
-                     f"{test.p:.3f} |")
-    return "\n".join(lines) if gaps else ""
+            gaps[f"{grid} | {more} - {fewer}"] = [runs[0][seed][2] - runs[1][seed][2] for seed in both]
+    return show_gaps("grid | levels", "in area", gaps, digits=3)
 
 
 def main() -> None:

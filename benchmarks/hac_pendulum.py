@@ -17,7 +17,7 @@ Levy, Konidaris, Platt and Saenko (2019); github.com/andrew-j-levy/Hierarchical-
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from benchmarks.finished_runs import run_missing
-from benchmarks.point_mazes import Measuring, estimate_mean
+from benchmarks.point_mazes import Measuring, format_mean
 from hrl_escape.agents import train
 from hrl_escape.agents.decisions import Moments, Policy
 from studies.statistics import LEAST_RUNS, compare_signs
@@ -189,8 +189,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
             continue
         scores = np.array([[success for _, success in row["scores"]] for row in found])
         best = scores.max(axis=1)
-        cells = [f"{mean:.2f} ({low:.2f} to {high:.2f})" for low, mean, high in (
-            estimate_mean(values) for values in (scores[:, -1], best, scores.mean(axis=1)))]
+        cells = map(format_mean, (scores[:, -1], best, scores.mean(axis=1)))
         lines.append(f"| {levels} | {attempts} | {len(found)} | {' | '.join(cells)} | "
                      f"{' '.join(f'{each:.2f}' for each in best)} | "
                      f"{np.mean([row['seconds'] for row in found]):.0f} |")
@@ -203,11 +202,24 @@ def compare(rows: Sequence[dict[str, Any]]) -> str:
             for levels in ATTEMPTS}
     gaps = {f"{more} - {fewer}": [ends[more][seed] - ends[fewer][seed] for seed in ends[more].keys() & ends[fewer]]
             for more, fewer in PAIRS}
-    lines = ["| levels | pairs | difference at the end | interval | p, Holm |", "|---|---|---|---|---|"]
-    for name, test in compare_signs({name: own for name, own in gaps.items() if len(own) >= LEAST_RUNS}).items():
-        lines.append(f"| {name} | {len(gaps[name])} | {test.mean:+.2f} | {test.low:+.2f} to {test.high:+.2f} | "
-                     f"{test.p:.3f} |")
-    return "\n".join(lines) if len(lines) > 2 else ""
+    return show_gaps("levels", "at the end", gaps)
+
+
+def show_gaps(heads: str, measure: str, gaps: Mapping[str, Sequence[float]], digits: int = 2) -> str:
+    """A table of mean differences as one family of sign-flip tests (Holm), or no text below ten pairs.
+
+    Args:
+        heads: of the first columns.
+        measure: completes "difference".
+        gaps: first cells of a line -> differences of the same seeds.
+        digits: of a difference, after the point.
+    """
+    tested = compare_signs({name: own for name, own in gaps.items() if len(own) >= LEAST_RUNS})
+    lines = [f"| {heads} | pairs | difference {measure} | interval | p, Holm |", "|---" * (heads.count("|") + 5) + "|"]
+    for name, test in tested.items():
+        cells = [f"{value:+.{digits}f}" for value in (test.mean, test.low, test.high)]
+        lines.append(f"| {name} | {len(gaps[name])} | {cells[0]} | {cells[1]} to {cells[2]} | {test.p:.3f} |")
+    return "\n".join(lines) if tested else ""
 
 
 def main() -> None:

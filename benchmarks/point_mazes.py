@@ -171,8 +171,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
                 continue
             cells = []
             for number, digits in enumerate((2, 2, 0)):
-                low, mean, high = estimate_mean(np.array([found[seed][number] for seed in sorted(found)]))
-                cells.append(f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})")
+                cells.append(format_mean(np.array([found[seed][number] for seed in sorted(found)]), digits))
             each = " ".join(f"{found[seed][0]:.2f}" for seed in sorted(found))
             cpu = np.mean([row["seconds"] for row in rows if (row["maze"], row["learner"]) == (maze, learner)])
             lines.append(f"| {maze} | {learner} | {len(found)} | {' | '.join(cells)} | {each} | {cpu:.0f} |")
@@ -187,9 +186,9 @@ def draw_curves(rows: Sequence[dict[str, Any]], path: Path = FIGURE) -> None:
     from hrl_escape.figures import LINES, get_figure_class, save_figure
 
     mazes = [maze for maze in SCALES if any(row["maze"] == maze for row in rows)]
-    rows_of_panels = math.ceil(len(mazes) / 2)
-    figure = get_figure_class()(figsize=(6.4, 0.6 + 2.4 * rows_of_panels), layout="constrained")
-    panels = figure.subplots(rows_of_panels, 2, sharey=True, squeeze=False)
+    down = math.ceil(len(mazes) / 2)
+    figure = get_figure_class()(figsize=(6.4, 0.6 + 2.4 * down), layout="constrained")
+    panels = figure.subplots(down, 2, sharey=True, squeeze=False)
     for axes in panels.flat[len(mazes):]:
         axes.remove()
     for axes, maze in zip(panels.flat, mazes, strict=False):
@@ -212,6 +211,12 @@ def estimate_mean(values: np.ndarray) -> np.ndarray:
     draws = np.random.default_rng(0).integers(len(values), size=(10_000, len(values)))
     low, high = np.percentile(values[draws].mean(axis=1), (2.5, 97.5), axis=0)
     return np.stack((low, values.mean(axis=0), high))
+
+
+def format_mean(values: np.ndarray, digits: int = 2) -> str:
+    """Return the mean of (seeds,) with its interval, for a table."""
+    low, mean, high = estimate_mean(values)
+    return f"{mean:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
 
 def compare(rows: Sequence[dict[str, Any]]) -> str:
